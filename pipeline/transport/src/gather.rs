@@ -1,0 +1,60 @@
+//! Light at a point: the one interface of every way to gather it.
+
+use glam::Vec3;
+use luxel_scene::{Cancelled, Progress};
+
+use crate::{Rgb, geometry::Geometry};
+
+/// A point on the front side of a surface that wants to know its irradiance.
+#[derive(Clone, Copy, Debug)]
+pub struct Receiver {
+    /// Frame position, on the surface.
+    pub position: Vec3,
+    /// Unit geometric normal: sides, self-shadowing, horizon.
+    pub normal: Vec3,
+    /// Unit interpolated normal: the cosine. Light from below the geometric horizon never counts.
+    pub shading_normal: Vec3,
+    /// Side of the patch that the receiver stands for, frame units.
+    pub footprint: f32,
+    /// Stable identity (primitive and chart-local cell): the only seed of sampling.
+    pub seed: u64,
+}
+
+impl Receiver {
+    /// A receiver at barycentric coordinates (1−u−v, u, v) of a world triangle.
+    pub fn on_triangle(geometry: &Geometry, triangle: u32, u: f32, v: f32, footprint: f32, seed: u64) -> Self {
+        let t = &geometry.triangles[triangle as usize];
+        Self {
+            position: t.at(u, v),
+            normal: t.normal,
+            shading_normal: geometry.shading_normal(triangle, u, v),
+            footprint,
+            seed,
+        }
+    }
+
+    /// Cosine at the shading normal of light that arrives from `direction` (unit, towards the light), 0 below the
+    /// geometric horizon.
+    pub fn cosine(&self, direction: Vec3) -> f32 {
+        if self.normal.dot(direction) <= 0.0 { 0.0 } else { self.shading_normal.dot(direction).max(0.0) }
+    }
+}
+
+/// Irradiance with what is known about it.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Gathered {
+    /// E [lux].
+    pub irradiance: Rgb,
+    /// Stated bound of the error of the band mean of E [lux]; 0 for methods that state none.
+    pub bound: f32,
+    /// Continuous rays spent, and clusters of the cut.
+    pub rays: u32,
+    pub cut: u32,
+}
+
+/// A way to gather light at receivers. Implementations are pure: the same receiver gives the same bits, in any
+/// order, on any thread.
+pub trait Gather: Sync {
+    /// Irradiance at every receiver, in their order.
+    fn gather(&self, receivers: &[Receiver], progress: &dyn Progress) -> Result<Vec<Gathered>, Cancelled>;
+}

@@ -1,0 +1,22 @@
+//! How light travels (Piwowar & Malgouyres 2009): voxelize, shoot, propagate, cache, gather; and the reference that
+//! everything is measured against.
+//!
+//! | stage | module | in → out |
+//! |---|---|---|
+//! | normalise | [`frame`], [`geometry`] | scene → world triangles in a frame of fixed size |
+//! | ray tracing | [`rays`] | geometry → closest hits and transmittances |
+//! | surfels | [`surfel`] | geometry → oriented voxel patches |
+//! | gather | [`gather`] | receivers → indirect irradiance with a stated bound |
+//!
+//! Invariants: no module here reads a file, a clock or the number of threads to decide a value; the same input
+//! gives the same bytes. Lengths are in the units of the [`frame::Frame`], light is in SI photometric units.
+
+pub mod frame;
+pub mod gather;
+pub mod geometry;
+pub mod rays;
+pub mod sampling;
+pub mod surfel;
+
+/// Linear RGB triple of radiances, irradiances or reflectances; the name of the variable says which.
+pub type Rgb = glam::Vec3;
