@@ -1,1 +1,28 @@
-//! luxel-export
+//! What engines get: image encodings, glTF writing and the report.
+//!
+//! | product | module | unit of its texels |
+//! |---|---|---|
+//! | `level.lightmap.exr`, `level.bound.exr` | [`openexr`] | E [lux] |
+//! | `level.preview.png` | [`tonemap`], [`png`] | sRGB display light |
+//! | `level.bake.json` | [`report`] | |
+//! | names, order, hashes | [`output`], [`atomic`] | |
+//!
+//! Nothing here decides a value by a clock, a date or the number of threads: the same light gives the same bytes.
+
+pub mod atomic;
+pub mod error;
+pub mod lightmap;
+pub mod openexr;
+pub mod output;
+pub mod png;
+pub mod report;
+pub mod tonemap;
+
+pub use atomic::write_atomic;
+pub use error::ExportError;
+pub use lightmap::{BoundMap, Lightmap, sample_lightmap};
+pub use openexr::{Depth, write_exr};
+pub use output::{Files, OutputSet};
+pub use png::{Image8, encode_png, write_png};
+pub use report::Report;
+pub use tonemap::ToneMap;

@@ -1,0 +1,114 @@
+//! Files that are either the old one or the new one, whole, whatever happens in between.
+
+use std::{fs, io, path::Path};
+
+use crate::ExportError;
+
+/// Replaces `path` by `bytes`: a temporary file in the same folder is written, flushed to the disk and renamed over
+/// it. Missing folders are created. On any error the old file is untouched and the temporary one is gone.
+pub fn write_atomic(path: &Path, bytes: &[u8]) -> Result<(), ExportError> {
+    let folder = match path.parent() {
+        Some(folder) if !folder.as_os_str().is_empty() => folder,
+        _ => Path::new("."),
+    };
+    fs::create_dir_all(folder).map_err(|e| ExportError::io("create the folder", folder, e))?;
+    replace(path, folder, |file| io::Write::write_all(file, bytes)).map_err(|e| ExportError::io("write", path, e))
+}
+
+fn replace(path: &Path, folder: &Path, fill: impl FnOnce(&mut fs::File) -> io::Result<()>) -> io::Result<()> {
+    let mut builder = tempfile::Builder::new();
+    builder.prefix(".luxel-").suffix(".tmp");
+    // A temporary file is private by default; an output is as readable as the umask says.
+    #[cfg(unix)]
+    builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
+    let mut file = builder.tempfile_in(folder)?;
+    fill(file.as_file_mut())?;
+    file.as_file().sync_all()?;
+    file.persist(path).map_err(|e| e.error)?;
+    // The rename itself reaches the disk with the folder; only Unix can open one.
+    #[cfg(unix)]
+    fs::File::open(folder)?.sync_all()?;
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn names(folder: &Path) -> Vec<String> {
+        let mut names: Vec<_> =
+            fs::read_dir(folder).unwrap().map(|e| e.unwrap().file_name().into_string().unwrap()).collect();
+        names.sort();
+        names
+    }
+
+    #[test]
+    fn a_file_is_created_with_its_folders_and_replaced_whole() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("a/b/level.glb");
+        write_atomic(&path, b"a first, longer content").unwrap();
+        write_atomic(&path, b"second").unwrap();
+        assert_eq!(fs::read(&path).unwrap(), b"second");
+        assert_eq!(names(path.parent().unwrap()), ["level.glb"]);
+    }
+
+    #[test]
+    fn an_error_in_the_middle_leaves_the_old_file_and_no_litter() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("level.glb");
+        write_atomic(&path, b"old").unwrap();
+        let failed = replace(&path, dir.path(), |file| {
+            io::Write::write_all(file, b"half of the n")?;
+            Err(io::Error::other("disk full"))
+        });
+        assert!(failed.is_err());
+        assert_eq!(fs::read(&path).unwrap(), b"old");
+        assert_eq!(names(dir.path()), ["level.glb"]);
+    }
+
+    #[test]
+    fn what_cannot_be_replaced_is_an_error_that_names_it() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("level.glb");
+        fs::create_dir(&path).unwrap();
+        fs::write(path.join("inside"), b"x").unwrap();
+        let error = write_atomic(&path, b"new").unwrap_err().to_string();
+        assert!(error.contains("level.glb"), "{error}");
+        assert_eq!(names(dir.path()), ["level.glb"]);
+        let under_a_file = dir.path().join("level.glb/inside/deeper.glb");
+        assert!(write_atomic(&under_a_file, b"new").is_err());
+        assert_eq!(fs::read(path.join("inside")).unwrap(), b"x");
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn a_read_only_folder_keeps_its_old_file() {
+        use std::os::unix::fs::PermissionsExt;
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("level.glb");
+        write_atomic(&path, b"old").unwrap();
+        fs::set_permissions(dir.path(), fs::Permissions::from_mode(0o555)).unwrap();
+        let probe = fs::write(dir.path().join("probe"), b"x");
+        let written = write_atomic(&path, b"new");
+        fs::set_permissions(dir.path(), fs::Permissions::from_mode(0o755)).unwrap();
+        if probe.is_ok() {
+            println!("read-only folders do not bind this user: the refusal was not tested");
+            assert_eq!(fs::read(&path).unwrap(), b"new");
+            return;
+        }
+        assert!(written.is_err());
+        assert_eq!(fs::read(&path).unwrap(), b"old");
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn outputs_are_readable_by_others_as_the_umask_allows() {
+        use std::os::unix::fs::PermissionsExt;
+        let dir = tempfile::tempdir().unwrap();
+        let (ours, plain) = (dir.path().join("ours"), dir.path().join("plain"));
+        write_atomic(&ours, b"x").unwrap();
+        fs::write(&plain, b"x").unwrap();
+        let mode = |p: &Path| fs::metadata(p).unwrap().permissions().mode();
+        assert_eq!(mode(&ours), mode(&plain));
+    }
+}

@@ -1,0 +1,33 @@
+//! What can go wrong on the way out, said with the file and the place.
+
+use std::path::PathBuf;
+
+/// An export that did not happen. Whatever file was there before is still there.
+#[derive(Debug, thiserror::Error)]
+pub enum ExportError {
+    /// Reading or writing a file failed.
+    #[error("cannot {what} {}: {source}", path.display())]
+    Io { what: &'static str, path: PathBuf, source: std::io::Error },
+    /// The scene file breaks the glTF specification at a place that the export needs.
+    #[error("{}: {place}: {fault}", path.display())]
+    Scene { path: PathBuf, place: String, fault: String },
+    /// An image holds a value that is no light, or has the wrong size.
+    #[error("{what}: {fault}")]
+    Image { what: String, fault: String },
+    /// An encoder refused what it was given.
+    #[error("cannot encode {what}: {fault}")]
+    Encode { what: String, fault: String },
+    /// The outputs cannot be placed where they were asked for.
+    #[error("{}: {fault}", path.display())]
+    Place { path: PathBuf, fault: String },
+}
+
+impl ExportError {
+    pub(crate) fn io(what: &'static str, path: &std::path::Path, source: std::io::Error) -> Self {
+        Self::Io { what, path: path.into(), source }
+    }
+
+    pub(crate) fn encode(what: impl Into<String>, fault: impl ToString) -> Self {
+        Self::Encode { what: what.into(), fault: fault.to_string() }
+    }
+}

@@ -1,0 +1,296 @@
+//! Where the files of a bake go, what they are called, and in which order they appear.
+
+use std::path::{Path, PathBuf};
+
+use crate::{
+    BoundMap, Depth, ExportError, Lightmap,
+    openexr::{encode_bound_exr, encode_exr},
+    report::{Output, Report},
+    write_atomic,
+};
+
+/// Folder beside a scene that receives its outputs unless another is named.
+pub const DEFAULT_FOLDER: &str = "baked";
+
+/// The names of all files of one bake.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct OutputSet {
+    folder: PathBuf,
+    stem: String,
+}
+
+/// What is to be written. Everything is finished before the first file is touched.
+pub struct Files<'a> {
+    pub lightmaps: &'a [Lightmap],
+    /// Empty, or one image per page.
+    pub bounds: &'a [BoundMap],
+    pub depth: Depth,
+    /// Hash of what went into the bake, written into the images.
+    pub key: &'a str,
+    /// The encoded preview picture.
+    pub preview_png: Option<&'a [u8]>,
+    pub glb: &'a [u8],
+}
+
+impl OutputSet {
+    /// Places the outputs of `scene`: in `out`, or in `baked/` beside the scene. `root` is the folder that was
+    /// scanned, if one was: subfolders below it are mirrored below `out`. When `a.gltf` and `a.glb` lie side by side,
+    /// their outputs keep the extension in the stem. Refuses to write over the scene itself.
+    pub fn new(scene: &Path, out: Option<&Path>, root: Option<&Path>) -> Result<Self, ExportError> {
+        let place = |fault: &str| ExportError::Place { path: scene.into(), fault: fault.into() };
+        let parent = scene.parent().unwrap_or(Path::new(""));
+        let utf8 = |s: &std::ffi::OsStr| s.to_str().map(str::to_owned).ok_or_else(|| place("the name is not UTF-8"));
+        let name = utf8(scene.file_name().ok_or_else(|| place("this is not a file name"))?)?;
+        let stem = utf8(scene.file_stem().unwrap_or_default())?;
+        let folder = match (out, root) {
+            (None, _) => parent.join(DEFAULT_FOLDER),
+            (Some(out), None) => out.into(),
+            (Some(out), Some(root)) => {
+                out.join(parent.strip_prefix(root).map_err(|_| place("the scene is not below the scanned folder"))?)
+            }
+        };
+        let twin = |e: &str| {
+            scene.extension().is_some_and(|own| !own.eq_ignore_ascii_case(e))
+                && parent.join(format!("{stem}.{e}")).exists()
+        };
+        let set = Self { folder, stem: if twin("glb") || twin("gltf") { name } else { stem } };
+        let same = |a: &Path, b: &Path| match (a.canonicalize(), b.canonicalize()) {
+            (Ok(a), Ok(b)) => a == b,
+            _ => a == b,
+        };
+        if same(&set.glb(), scene) {
+            return Err(place("the output would replace the scene itself: choose another folder with --out"));
+        }
+        Ok(set)
+    }
+
+    pub fn folder(&self) -> &Path {
+        &self.folder
+    }
+
+    pub fn stem(&self) -> &str {
+        &self.stem
+    }
+
+    fn file(&self, rest: &str) -> PathBuf {
+        self.folder.join(format!("{}.{rest}", self.stem))
+    }
+
+    fn paged(&self, kind: &str, page: usize, pages: usize) -> PathBuf {
+        if pages == 1 { self.file(&format!("{kind}.exr")) } else { self.file(&format!("{kind}.{page}.exr")) }
+    }
+
+    /// The scene with its lightmap.
+    pub fn glb(&self) -> PathBuf {
+        self.file("glb")
+    }
+
+    /// Irradiance of one page of `pages`.
+    pub fn lightmap(&self, page: usize, pages: usize) -> PathBuf {
+        self.paged("lightmap", page, pages)
+    }
+
+    /// Stated bound of one page of `pages`.
+    pub fn bound(&self, page: usize, pages: usize) -> PathBuf {
+        self.paged("bound", page, pages)
+    }
+
+    pub fn preview(&self) -> PathBuf {
+        self.file("preview.png")
+    }
+
+    pub fn report(&self) -> PathBuf {
+        self.file("bake.json")
+    }
+
+    /// Names (without folder) of the lightmap files, as the glb refers to them.
+    pub fn lightmap_names(&self, pages: usize) -> Vec<String> {
+        (0..pages).filter_map(|p| self.lightmap(p, pages).file_name()?.to_str().map(str::to_owned)).collect()
+    }
+
+    /// Writes images, glb, and last the report, which thereby lists the hashes of all the others. Every file appears
+    /// whole; the report tells whether the files beside it belong together. Images of an earlier bake with other
+    /// page numbers are removed last.
+    pub fn write(&self, files: &Files, report: &mut Report) -> Result<(), ExportError> {
+        let pages = files.lightmaps.len();
+        let mut ready = Vec::new();
+        for (i, map) in files.lightmaps.iter().enumerate() {
+            ready.push((self.lightmap(i, pages), encode_exr(map, files.depth, files.key)?));
+        }
+        for (i, map) in files.bounds.iter().enumerate() {
+            ready.push((self.bound(i, pages), encode_bound_exr(map, files.depth, files.key)?));
+        }
+        if let Some(png) = files.preview_png {
+            ready.push((self.preview(), png.to_vec()));
+        }
+        ready.push((self.glb(), files.glb.to_vec()));
+        report.outputs = ready.iter().map(|(path, bytes)| output(path, bytes)).collect();
+        let json = report.to_json()?;
+        let names: Vec<&PathBuf> = ready.iter().map(|(path, _)| path).collect();
+        let stale = self.stale(&names)?;
+        for (path, bytes) in &ready {
+            write_atomic(path, bytes)?;
+        }
+        write_atomic(&self.report(), &json)?;
+        for path in stale {
+            std::fs::remove_file(&path).map_err(|e| ExportError::io("remove the outdated", &path, e))?;
+        }
+        Ok(())
+    }
+
+    /// Lightmap and bound images in the folder that bear this stem's name and are not among `current`.
+    fn stale(&self, current: &[&PathBuf]) -> Result<Vec<PathBuf>, ExportError> {
+        let entries = match std::fs::read_dir(&self.folder) {
+            Ok(entries) => entries,
+            Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(Vec::new()),
+            Err(e) => return Err(ExportError::io("list the folder", &self.folder, e)),
+        };
+        let mut stale = Vec::new();
+        for entry in entries {
+            let entry = entry.map_err(|e| ExportError::io("list the folder", &self.folder, e))?;
+            let name = entry.file_name();
+            if name.to_str().is_some_and(|n| self.is_image_name(n))
+                && !current.iter().any(|c| c.file_name() == Some(&name))
+            {
+                stale.push(entry.path());
+            }
+        }
+        stale.sort();
+        Ok(stale)
+    }
+
+    /// `stem.lightmap.exr`, `stem.bound.3.exr` and the like.
+    fn is_image_name(&self, name: &str) -> bool {
+        let Some(rest) = name.strip_prefix(&self.stem).and_then(|r| r.strip_prefix('.')) else { return false };
+        let Some(rest) = rest.strip_suffix(".exr") else { return false };
+        ["lightmap", "bound"].iter().any(|kind| {
+            rest.strip_prefix(kind).is_some_and(|page| {
+                page.is_empty()
+                    || page.strip_prefix('.').is_some_and(|p| !p.is_empty() && p.bytes().all(|b| b.is_ascii_digit()))
+            })
+        })
+    }
+}
+
+fn output(path: &Path, bytes: &[u8]) -> Output {
+    Output {
+        path: path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default(),
+        bytes: bytes.len() as u64,
+        blake3: blake3::hash(bytes).to_hex().to_string(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::report::SceneInfo;
+    use glam::Vec3;
+    use std::fs;
+
+    fn names(folder: &Path) -> Vec<String> {
+        let mut names: Vec<_> =
+            fs::read_dir(folder).unwrap().map(|e| e.unwrap().file_name().into_string().unwrap()).collect();
+        names.sort();
+        names
+    }
+
+    fn write(set: &OutputSet, pages: usize) -> Report {
+        let map = Lightmap::new(2, 1, vec![Vec3::ONE; 2], vec![1.0; 2]).unwrap();
+        let bound = BoundMap::new(2, 1, vec![0.1; 2]).unwrap();
+        let files = Files {
+            lightmaps: &vec![map; pages],
+            bounds: &vec![bound; pages],
+            depth: Depth::Float,
+            key: "k",
+            preview_png: Some(b"png"),
+            glb: b"glb",
+        };
+        let mut report = Report::new(SceneInfo::default());
+        set.write(&files, &mut report).unwrap();
+        report
+    }
+
+    #[test]
+    fn names_follow_the_contract() {
+        let set = OutputSet::new(Path::new("maps/level.glb"), None, None).unwrap();
+        assert_eq!(set.glb(), Path::new("maps/baked/level.glb"));
+        assert_eq!(set.lightmap(0, 1), Path::new("maps/baked/level.lightmap.exr"));
+        assert_eq!(set.lightmap(1, 2), Path::new("maps/baked/level.lightmap.1.exr"));
+        assert_eq!(set.bound(0, 1), Path::new("maps/baked/level.bound.exr"));
+        assert_eq!(set.preview(), Path::new("maps/baked/level.preview.png"));
+        assert_eq!(set.report(), Path::new("maps/baked/level.bake.json"));
+        let out = OutputSet::new(Path::new("maps/a/level.v2.glb"), Some(Path::new("out")), Some(Path::new("maps")));
+        assert_eq!(out.unwrap().glb(), Path::new("out/a/level.v2.glb"));
+        assert!(OutputSet::new(Path::new("x/a.glb"), Some(Path::new("out")), Some(Path::new("maps"))).is_err());
+    }
+
+    #[test]
+    fn twins_keep_their_extension_and_a_scene_is_never_replaced() {
+        let dir = tempfile::tempdir().unwrap();
+        let (glb, gltf) = (dir.path().join("a.glb"), dir.path().join("a.gltf"));
+        fs::write(&glb, b"x").unwrap();
+        assert_eq!(OutputSet::new(&glb, None, None).unwrap().stem(), "a");
+        fs::write(&gltf, b"x").unwrap();
+        assert_eq!(OutputSet::new(&glb, None, None).unwrap().stem(), "a.glb");
+        assert_eq!(OutputSet::new(&gltf, None, None).unwrap().stem(), "a.gltf");
+        fs::remove_file(&gltf).unwrap();
+        let error = OutputSet::new(&glb, Some(&dir.path().join(".")), None).unwrap_err().to_string();
+        assert!(error.contains("replace the scene itself"), "{error}");
+    }
+
+    #[test]
+    fn the_report_is_last_and_lists_the_hashes_of_what_lies_there() {
+        let dir = tempfile::tempdir().unwrap();
+        let set = OutputSet::new(&dir.path().join("level.glb"), None, None).unwrap();
+        let report = write(&set, 1);
+        let listed: Vec<_> = report.outputs.iter().map(|o| o.path.as_str()).collect();
+        assert_eq!(listed, ["level.lightmap.exr", "level.bound.exr", "level.preview.png", "level.glb"]);
+        for o in &report.outputs {
+            let bytes = fs::read(set.folder().join(&o.path)).unwrap();
+            assert_eq!((o.bytes, &o.blake3), (bytes.len() as u64, &blake3::hash(&bytes).to_hex().to_string()));
+        }
+        let read: Report = serde_json::from_slice(&fs::read(set.report()).unwrap()).unwrap();
+        assert_eq!(read, report);
+    }
+
+    #[test]
+    fn pages_of_an_earlier_bake_go_and_strangers_stay() {
+        let dir = tempfile::tempdir().unwrap();
+        let set = OutputSet::new(&dir.path().join("level.glb"), None, None).unwrap();
+        write(&set, 3);
+        for stranger in
+            ["level.lightmap.x.exr", "level2.lightmap.exr", "level.lightmap.2.exr.bak", "level.lightmaps.exr"]
+        {
+            fs::write(set.folder().join(stranger), b"x").unwrap();
+        }
+        write(&set, 1);
+        let expected = [
+            "level.bake.json",
+            "level.bound.exr",
+            "level.glb",
+            "level.lightmap.2.exr.bak",
+            "level.lightmap.exr",
+            "level.lightmap.x.exr",
+            "level.lightmaps.exr",
+            "level.preview.png",
+            "level2.lightmap.exr",
+        ];
+        assert_eq!(names(set.folder()), expected);
+    }
+
+    #[test]
+    fn a_report_that_cannot_be_written_keeps_every_old_file() {
+        let dir = tempfile::tempdir().unwrap();
+        let set = OutputSet::new(&dir.path().join("level.glb"), None, None).unwrap();
+        write(&set, 1);
+        let before: Vec<_> = names(set.folder()).iter().map(|n| fs::read(set.folder().join(n)).unwrap()).collect();
+        let map = Lightmap::new(1, 1, vec![Vec3::ZERO], vec![1.0]).unwrap();
+        let files =
+            Files { lightmaps: &[map], bounds: &[], depth: Depth::Float, key: "k", preview_png: None, glb: b"new" };
+        let mut report = Report::new(SceneInfo::default());
+        report.quality.insert("rate".into(), f64::NAN);
+        assert!(set.write(&files, &mut report).is_err());
+        let after: Vec<_> = names(set.folder()).iter().map(|n| fs::read(set.folder().join(n)).unwrap()).collect();
+        assert_eq!(before, after);
+    }
+}

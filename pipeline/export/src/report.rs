@@ -1,0 +1,299 @@
+//! `level.bake.json`: what a bake did, in a documented and stable form.
+//!
+//! `schema` is 1. Within one schema number fields are only ever added; a reader ignores what it does not know. Times
+//! are seconds of wall clock, light is in SI photometric units, hashes are BLAKE3 as 64 hexadecimal digits. A field
+//! that does not apply is absent; no field is ever null.
+
+use std::{collections::BTreeMap, path::Path};
+
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+
+use crate::ExportError;
+
+/// The number of the form described here.
+pub const SCHEMA: u32 = 1;
+
+/// The whole report of one baked scene.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Report {
+    /// Always [`SCHEMA`].
+    pub schema: u32,
+    /// The scene file as it was named, and its name in messages.
+    pub scene: SceneInfo,
+    /// Versions of luxel and of every stage: what decides whether a stored artefact can be used again.
+    pub versions: BTreeMap<String, String>,
+    /// Every setting with its resolved value and where that came from, in the order of the settings' documentation.
+    pub settings: Vec<Setting>,
+    /// Stages in the order in which they run.
+    pub stages: Vec<Stage>,
+    /// Counters of the whole bake: `triangles`, `texels`, `surfels`, `photons`, `continuous_rays`, …
+    pub counters: BTreeMap<String, u64>,
+    /// The paper's Table 1 for this scene.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub table1: Option<Table1>,
+    /// Where the light went.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub energy: Option<EnergyLedger>,
+    /// Figures by which the result's quality can be judged: `mean_row_sum`, `mean_irradiance_lux`, …
+    pub quality: BTreeMap<String, f64>,
+    /// What a person should know, each once.
+    pub warnings: Vec<Warning>,
+    /// The files that belong to this report, in the order in which they were written.
+    pub outputs: Vec<Output>,
+}
+
+/// Which scene was baked.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct SceneInfo {
+    pub name: String,
+    /// Every file that was read, with the hash of its bytes.
+    pub inputs: Vec<Input>,
+}
+
+/// A file that was read.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Input {
+    pub path: String,
+    pub blake3: String,
+}
+
+/// One resolved setting.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Setting {
+    pub name: String,
+    /// A number, word, boolean or list, as in the configuration file.
+    pub value: Value,
+    /// `default`, `preset medium`, a configuration file's name, `extras` or `command line`.
+    pub origin: String,
+}
+
+/// What happened to a stage.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum StageState {
+    #[serde(rename = "ran")]
+    Ran,
+    #[serde(rename = "reused")]
+    Reused,
+    #[serde(rename = "left out")]
+    LeftOut,
+}
+
+/// One stage of the bake.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Stage {
+    pub name: String,
+    pub state: StageState,
+    /// Why it ran, was reused or was left out, in words.
+    pub reason: String,
+    /// Wall-clock time; 0 for a stage that was left out.
+    pub seconds: f64,
+    /// What the stage counted.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub counters: BTreeMap<String, u64>,
+}
+
+/// The rows of the paper's Table 1 (Piwowar & Malgouyres 2009), for this scene.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Table1 {
+    /// "number of triangles", instances expanded.
+    pub triangles: u64,
+    /// "number of voxels": surfels, of which a voxel holds one per orientation.
+    pub voxels: u64,
+    /// "Light path length": bounces, the first one included.
+    pub light_path_length: u64,
+    /// "Voxel directions" of the first bounce.
+    pub voxel_directions: u64,
+    /// "Primary photons" shot from the lamps; 0 where direct light came without photons.
+    pub primary_photons: u64,
+    /// "Direct photons": samples of direct light.
+    pub direct_photons: u64,
+    /// "Continuous Rays": rays traced against triangles.
+    pub continuous_rays: u64,
+    /// "Discrete Rays": surfels × directions, summed over the bounces.
+    pub discrete_rays: u64,
+    /// "Rays/sec (continuous)".
+    pub continuous_rays_per_second: f64,
+    /// "Rays/sec (discrete)".
+    pub discrete_rays_per_second: f64,
+    /// "Propagation Time": shooting and propagation [s].
+    pub propagation_seconds: f64,
+    /// "Linear method Time": the discrete sweeps alone [s].
+    pub linear_method_seconds: f64,
+    /// "Reconstruction Time": the gather [s].
+    pub reconstruction_seconds: f64,
+    /// "Overall Time" [s].
+    pub overall_seconds: f64,
+    /// Discrete over continuous rays per second; the paper has 36 and 75.
+    pub discrete_over_continuous: f64,
+}
+
+impl Table1 {
+    /// Fills the three rates from counts and times; a rate without time is 0.
+    pub fn with_rates(mut self, continuous_seconds: f64) -> Self {
+        let rate = |count: u64, seconds: f64| if seconds > 0.0 { count as f64 / seconds } else { 0.0 };
+        self.continuous_rays_per_second = rate(self.continuous_rays, continuous_seconds);
+        self.discrete_rays_per_second = rate(self.discrete_rays, self.linear_method_seconds);
+        self.discrete_over_continuous = if self.continuous_rays_per_second > 0.0 {
+            self.discrete_rays_per_second / self.continuous_rays_per_second
+        } else {
+            0.0
+        };
+        self
+    }
+}
+
+/// The energy balance of transport, in lumens (linear RGB). `emitted + from_sky = absorbed + escaped + remaining +
+/// defect` in every band.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct EnergyLedger {
+    /// Flux that lamps and emitters sent to surfaces.
+    pub emitted: [f64; 3],
+    /// Flux that the sky sent to surfaces.
+    pub from_sky: [f64; 3],
+    pub absorbed: [f64; 3],
+    /// Flux that left the scene.
+    pub escaped: [f64; 3],
+    /// Flux still under way when propagation stopped, estimated.
+    pub remaining: [f64; 3],
+    /// What is missing from the balance: the method's own loss.
+    pub defect: [f64; 3],
+}
+
+/// Something a person should know.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Warning {
+    /// A stable word for machines.
+    pub code: String,
+    pub message: String,
+}
+
+/// A file of this bake.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Output {
+    /// Relative to the report's folder.
+    pub path: String,
+    pub bytes: u64,
+    pub blake3: String,
+}
+
+impl Report {
+    pub fn new(scene: SceneInfo) -> Self {
+        Self { schema: SCHEMA, scene, ..Self::default() }
+    }
+
+    /// The file's bytes: indented, one line feed at the end. A figure that is no number (a rate over zero seconds) is
+    /// an error that names it, because JSON would turn it into null.
+    pub fn to_json(&self) -> Result<Vec<u8>, ExportError> {
+        let value = serde_json::to_value(self).map_err(|e| ExportError::encode("the report", e))?;
+        if let Some(place) = null_in(&value) {
+            return Err(ExportError::encode("the report", format!("{place} is not a number")));
+        }
+        let mut bytes = serde_json::to_vec_pretty(&value).map_err(|e| ExportError::encode("the report", e))?;
+        bytes.push(b'\n');
+        Ok(bytes)
+    }
+
+    /// Writes the report atomically.
+    pub fn write(&self, path: &Path) -> Result<(), ExportError> {
+        crate::write_atomic(path, &self.to_json()?)
+    }
+}
+
+impl From<&luxel_scene::Notice> for Warning {
+    fn from(notice: &luxel_scene::Notice) -> Self {
+        Self { code: notice.code.into(), message: notice.message.clone() }
+    }
+}
+
+impl From<&luxel_scene::InputFile> for Input {
+    fn from(file: &luxel_scene::InputFile) -> Self {
+        Self {
+            path: file.path.to_string_lossy().replace('\\', "/"),
+            blake3: blake3::Hash::from(file.digest).to_hex().to_string(),
+        }
+    }
+}
+
+/// Path of the first null, in the manner of `stages/2/seconds`.
+fn null_in(value: &Value) -> Option<String> {
+    let below = |name: String, value: &Value| {
+        null_in(value).map(|rest| if rest.is_empty() { name.clone() } else { format!("{name}/{rest}") })
+    };
+    match value {
+        Value::Null => Some(String::new()),
+        Value::Array(items) => items.iter().enumerate().find_map(|(i, v)| below(i.to_string(), v)),
+        Value::Object(map) => map.iter().find_map(|(k, v)| below(k.clone(), v)),
+        _ => None,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn full() -> Report {
+        let mut report = Report::new(SceneInfo {
+            name: "level.glb".into(),
+            inputs: vec![Input { path: "level.glb".into(), blake3: "00".repeat(32) }],
+        });
+        report.versions.insert("luxel".into(), "0.1.0".into());
+        report.settings.push(Setting { name: "size".into(), value: 1024.into(), origin: "default".into() });
+        let counters = BTreeMap::from([("surfels".into(), 7)]);
+        report.stages.push(Stage {
+            name: "voxelize".into(),
+            state: StageState::Ran,
+            reason: "needed".into(),
+            seconds: 0.1,
+            counters,
+        });
+        report.stages.push(Stage {
+            name: "propagate".into(),
+            state: StageState::LeftOut,
+            reason: "every surface is black".into(),
+            seconds: 0.0,
+            counters: BTreeMap::new(),
+        });
+        report.table1 = Some(Table1 { continuous_rays: 100, ..Table1::default() }.with_rates(2.0));
+        report.energy = Some(EnergyLedger { emitted: [1.0; 3], ..EnergyLedger::default() });
+        report.quality.insert("mean_row_sum".into(), 0.9996);
+        report.warnings.push(Warning { code: "no-light".into(), message: "no light".into() });
+        report.outputs.push(Output { path: "level.glb".into(), bytes: 3, blake3: "11".repeat(32) });
+        report
+    }
+
+    #[test]
+    fn a_report_comes_back_equal_and_its_words_are_stable() {
+        let report = full();
+        let bytes = report.to_json().unwrap();
+        assert_eq!(serde_json::from_slice::<Report>(&bytes).unwrap(), report);
+        let json: Value = serde_json::from_slice(&bytes).unwrap();
+        assert_eq!(json["schema"], 1);
+        assert_eq!(json["stages"][0]["state"], "ran");
+        assert_eq!(json["stages"][1]["state"], "left out");
+        assert_eq!(json["table1"]["continuous_rays_per_second"], 50.0);
+        let keys: Vec<_> = json.as_object().unwrap().keys().map(String::as_str).collect();
+        let expected = [
+            "schema", "scene", "versions", "settings", "stages", "counters", "table1", "energy", "quality", "warnings",
+            "outputs",
+        ];
+        assert_eq!(keys, expected);
+    }
+
+    #[test]
+    fn later_fields_do_not_disturb_a_reader() {
+        let mut json: Value = serde_json::from_slice(&full().to_json().unwrap()).unwrap();
+        json["a_field_of_the_future"] = 1.into();
+        assert_eq!(serde_json::from_value::<Report>(json).unwrap(), full());
+    }
+
+    #[test]
+    fn a_figure_that_is_no_number_is_named() {
+        for bad in [f64::NAN, f64::INFINITY] {
+            let mut report = full();
+            report.stages[1].seconds = bad;
+            let error = report.to_json().unwrap_err().to_string();
+            assert!(error.contains("stages/1/seconds"), "{error}");
+        }
+    }
+}
