@@ -18,6 +18,8 @@ pub mod geometry;
 pub mod lights;
 pub mod rays;
 pub mod sampling;
+pub mod shoot;
+pub mod sky_light;
 pub mod surfel;
 
 /// Linear RGB triple of radiances, irradiances or reflectances; the name of the variable says which.
