@@ -16,6 +16,7 @@ pub mod frame;
 pub mod gather;
 pub mod geometry;
 pub mod ledger;
+pub mod octree;
 pub mod rays;
 pub mod sampling;
 pub mod solve;
