@@ -14,6 +14,7 @@
 pub mod frame;
 pub mod gather;
 pub mod geometry;
+pub mod lighttree;
 pub mod rays;
 pub mod sampling;
 pub mod surfel;
