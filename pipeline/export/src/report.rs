@@ -187,7 +187,10 @@ impl Report {
     pub fn to_json(&self) -> Result<Vec<u8>, ExportError> {
         let value = serde_json::to_value(self).map_err(|e| ExportError::encode("the report", e))?;
         if let Some(place) = null_in(&value) {
-            return Err(ExportError::encode("the report", format!("{place} is not a number")));
+            return Err(ExportError::encode(
+                "the report",
+                format!("{place} is null: no number, or a setting without value"),
+            ));
         }
         let mut bytes = serde_json::to_vec_pretty(&value).map_err(|e| ExportError::encode("the report", e))?;
         bytes.push(b'\n');

@@ -87,17 +87,18 @@ impl Original {
         self.check_unchanged(scene)?;
         let mut draft = Draft::new(self);
         let nodes = Nodes::new(self, Materials::new(self, pages));
-        let pages = nodes.place(&mut draft, scene, atlas)?.settle(&mut draft)?;
+        let mut notices = self.notices.clone();
+        let pages = nodes.place(&mut draft, scene, atlas, &mut notices)?.settle(&mut draft)?;
         let stats = |p: &PageTexture| PageStats { intensity: p.bitmap.intensity, clipped: p.bitmap.clipped };
         let pages = pages.iter().map(stats).collect();
-        Ok(Glb { bytes: draft.finish()?, pages, notices: self.notices.clone() })
+        Ok(Glb { bytes: draft.finish()?, pages, notices })
     }
 
     /// Files that the importer read too must have had the same bytes then.
     fn check_unchanged(&self, scene: &Scene) -> Checked<()> {
-        for (path, digest) in &self.digests {
-            if scene.inputs.iter().any(|i| i.path == *path && i.digest != *digest) {
-                return Err(Fault::new(path.display().to_string(), "has changed while it was baked: bake again"));
+        for now in &self.inputs {
+            if scene.inputs.iter().any(|then| then.path == now.path && then.digest != now.digest) {
+                return Err(Fault::new(now.path.display().to_string(), "has changed while it was baked: bake again"));
             }
         }
         Ok(())
