@@ -2,7 +2,7 @@
 //!
 //! | product | module | unit of its texels |
 //! |---|---|---|
-//! | `level.lightmap.exr`, `level.bound.exr` | [`openexr`] | E [lux] |
+//! | `level.lightmap.exr`, `level.bound.exr` | [`openexr`] | E (lux) |
 //! | `level.glb` | [`gltf`] | E / intensity, 8 bit |
 //! | `level.preview.png` | [`tonemap`], [`png`] | sRGB display light |
 //! | `level.bake.json` | [`report`] | |

@@ -116,13 +116,13 @@ pub struct Table1 {
     pub continuous_rays_per_second: f64,
     /// "Rays/sec (discrete)".
     pub discrete_rays_per_second: f64,
-    /// "Propagation Time": shooting and propagation [s].
+    /// "Propagation Time": shooting and propagation (s).
     pub propagation_seconds: f64,
-    /// "Linear method Time": the discrete sweeps alone [s].
+    /// "Linear method Time": the discrete sweeps alone (s).
     pub linear_method_seconds: f64,
-    /// "Reconstruction Time": the gather [s].
+    /// "Reconstruction Time": the gather (s).
     pub reconstruction_seconds: f64,
-    /// "Overall Time" [s].
+    /// "Overall Time" (s).
     pub overall_seconds: f64,
     /// Discrete over continuous rays per second; the paper has 36 and 75.
     pub discrete_over_continuous: f64,

@@ -5,14 +5,14 @@
 //!
 //! | what | how | module |
 //! |---|---|---|
-//! | buffers | one BIN chunk; meshopt decoded, data URIs and files taken in | [`original`], [`draft`] |
-//! | images | embedded | [`original`] |
-//! | meshes of lightmapped nodes | one copy per node, triangles, TEXCOORD_1 in atlas space | [`nodes`], [`vertices`] |
-//! | EXT_mesh_gpu_instancing | child nodes, where instances are lightmapped | [`instances`] |
-//! | their materials | one copy per page, with `MOZ_lightmap` | [`materials`], [`bitmap`] |
+//! | buffers | one BIN chunk; meshopt decoded, data URIs and files taken in | `original`, `draft` |
+//! | images | embedded | `original` |
+//! | meshes of lightmapped nodes | one copy per node, triangles, TEXCOORD_1 in atlas space | `nodes`, `vertices` |
+//! | EXT_mesh_gpu_instancing | child nodes, where instances are lightmapped | `instances` |
+//! | their materials | one copy per page, with `MOZ_lightmap` | `materials`, `bitmap` |
 //!
 //! No index of the input changes its meaning: copies take the slot of an original that nothing uses any more, or the
-//! end of the list ([`draft`]). Of several buffers only the first one's name and extras can survive.
+//! end of the list (`draft`). Of several buffers only the first one's name and extras can survive.
 
 mod accessor;
 mod bitmap;
@@ -56,7 +56,7 @@ pub struct Glb {
 /// How a page fared in 8 bits.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PageStats {
-    /// E [lux] of a full byte.
+    /// E (lux) of a full byte.
     pub intensity: f32,
     /// Covered texels that were clipped.
     pub clipped: usize,
