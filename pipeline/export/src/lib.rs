@@ -2,7 +2,8 @@
 //!
 //! | product | module | unit of its texels |
 //! |---|---|---|
-//! | `level.lightmap.exr`, `level.bound.exr` | [`openexr`] | E [lux] |
+//! | `level.lightmap.exr`, `level.bound.exr` | [`openexr`] | E (lux) |
+//! | `level.glb` | [`gltf`] | E / intensity, 8 bit |
 //! | `level.preview.png` | [`tonemap`], [`png`] | sRGB display light |
 //! | `level.bake.json` | [`report`] | |
 //! | names, order, hashes | [`output`], [`atomic`] | |
@@ -11,6 +12,7 @@
 
 pub mod atomic;
 pub mod error;
+pub mod gltf;
 pub mod lightmap;
 pub mod openexr;
 pub mod output;
@@ -20,9 +22,10 @@ pub mod tonemap;
 
 pub use atomic::write_atomic;
 pub use error::ExportError;
+pub use gltf::{Glb, Original};
 pub use lightmap::{BoundMap, Lightmap, sample_lightmap};
 pub use openexr::{Depth, write_exr};
-pub use output::{Files, OutputSet};
+pub use output::{Files, OutputSet, is_output};
 pub use png::{Image8, encode_png, write_png};
 pub use report::Report;
 pub use tonemap::ToneMap;
