@@ -7,6 +7,9 @@ use glam::{DVec3, Vec3};
 /// Longest side of the scene in frame units, at most.
 pub const SIDE: f64 = 4096.0;
 
+/// Scales stay within 2^±500, so that their squares and inverses are finite too.
+const MAX_EXPONENT: i32 = 500;
+
 /// World ↔ frame. Directions and angles are the same in both.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Frame {
@@ -16,12 +19,17 @@ pub struct Frame {
 }
 
 impl Frame {
-    /// The frame of a world box; an empty or point-like box gets unit scale.
+    /// The frame of a world box; an empty, point-like or boundless box gets unit scale.
     pub fn new(lo: DVec3, hi: DVec3) -> Self {
         let center = lo + 0.5 * (hi - lo);
         let side = (hi - lo).max_element();
-        let exponent = if side > 0.0 && side.is_finite() { libm::floor(libm::log2(SIDE / side)) } else { 0.0 };
-        Self { center, scale: libm::exp2(exponent) }
+        if !(side > 0.0 && side.is_finite() && center.is_finite()) {
+            return Self { center: if center.is_finite() { center } else { DVec3::ZERO }, scale: 1.0 };
+        }
+        // side / SIDE = m · 2ᵉ with m in [½, 1), so 2⁻ᵉ brings the side into [½, 1) · SIDE, exactly.
+        let (m, e) = libm::frexp(side / SIDE);
+        let e = if m == 0.5 { e - 1 } else { e };
+        Self { center, scale: libm::ldexp(1.0, (-e).clamp(-MAX_EXPONENT, MAX_EXPONENT)) }
     }
 
     pub fn point(&self, world: DVec3) -> Vec3 {
@@ -46,6 +54,25 @@ impl Frame {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_longest_side_is_in_its_range_whatever_the_scene() {
+        for e in -300..300 {
+            for m in [1.0, 1.0 + f64::EPSILON, 1.5, 2.0 - 2.0 * f64::EPSILON] {
+                let side = m * libm::ldexp(1.0, e);
+                let scaled = side * Frame::new(DVec3::ZERO, DVec3::new(0.0, side, side / 3.0)).scale;
+                assert!(scaled > 0.5 * SIDE && scaled <= SIDE, "{side}: {scaled}");
+            }
+        }
+    }
+
+    #[test]
+    fn boxes_without_a_size_get_unit_scale() {
+        for (lo, hi) in [(0.0, 0.0), (5.0, 5.0), (f64::NAN, 1.0), (-f64::MAX, f64::MAX), (f64::INFINITY, -1.0)] {
+            let frame = Frame::new(DVec3::splat(lo), DVec3::splat(hi));
+            assert!(frame.scale == 1.0 && frame.center.is_finite(), "{lo} {hi}: {frame:?}");
+        }
+    }
 
     #[test]
     fn a_scene_far_away_and_tiny_keeps_its_shape() {

@@ -1,26 +1,47 @@
-//! Continuous rays: closest hits and coloured transmittance through holes and veils.
+//! Continuous rays: closest hits, walks through veils, and coloured transmittance.
+//!
+//! Every surface that casts and is not unlit takes part; both of its sides stop rays (a single-sided back absorbs,
+//! which is the caller's business: [`Hit::back`]). Texels of a MASK material under its cut-off are holes. BLEND and
+//! transmitting surfaces are *veils*: they are hit, and pass their coloured transmittance T from either side. Along a
+//! ray through veils 1, 2, … the light that passes is T₁·T₂·…, and the k-th surface is seen through T₁…T₍ₖ₋₁₎.
+//!
+//! What a query returns depends on the geometry alone, not on the order in which the hierarchy was traversed: ties go
+//! to the lower triangle index and veils are multiplied from front to back.
+//!
+//! **Contacts.** The hierarchy's node test has an absolute tolerance of 1e-4 and rounds like every f32 computation, so
+//! each triangle's box is padded by [`PAD`]; together with the normalised frame that leaves no gap at any scene scale.
+//! A ray starts [`OFFSET`] above the surface that it leaves ([`leave`]) and, when it aims at a point of an emitter,
+//! ends as far in front of that one ([`Rays::between`]).
 
-use std::time::Duration;
+mod hierarchy;
+mod triangle;
 
 use glam::{Vec3, Vec3A};
 use luxel_scene::{Alpha, Material};
 use obvhs::{
-    BvhBuildParams,
-    cwbvh::{CwBvh, builder::build_cwbvh},
+    aabb::Aabb,
+    cwbvh::CwBvh,
     ray::{Ray, RayHit},
 };
 
 use crate::{Rgb, geometry::Geometry};
+use triangle::{Corners, Shear};
 
 /// How far a ray starts from the surface that it leaves, in frame units: 16 ulp of the largest coordinate, and less
 /// than a thousandth of a texel of a 4096² map.
 pub const OFFSET: f32 = 4e-3;
 
-/// Barycentric slack at shared edges, so that no ray slips between two triangles.
-const EDGE: f32 = 1e-6;
+/// Margin of every triangle's box, frame units: four roundings of the longest distance (4096 · 2⁻²³ each).
+const PAD: f32 = 2e-3;
+
+/// What less than this share of the light passes is taken for opaque by [`Rays::transmittance`].
+const OPAQUE: f32 = 1e-6;
+
+/// [`Rays::first_hits`] ends where less than this share of the light is left.
+const FAINT: f32 = 1e-3;
 
 /// Where a ray met a surface.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Hit {
     /// Distance along the ray, frame units.
     pub distance: f32,
@@ -33,8 +54,21 @@ pub struct Hit {
     pub back: bool,
 }
 
+impl Hit {
+    /// Front to back, the lower index first where two surfaces coincide.
+    fn order(&self, other: &Hit) -> std::cmp::Ordering {
+        self.distance.total_cmp(&other.distance).then(self.triangle.cmp(&other.triangle))
+    }
+}
+
+/// Where a ray along `direction` starts that leaves a surface of unit geometric normal `normal` at `position`: a little
+/// above it, on the side to which the ray goes.
+pub fn leave(position: Vec3, normal: Vec3, direction: Vec3) -> Vec3 {
+    position + normal * OFFSET.copysign(normal.dot(direction))
+}
+
 /// What a triangle does to a ray.
-#[derive(Clone, Copy, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Kind {
     Solid,
     /// Holes by alpha test.
@@ -43,38 +77,38 @@ enum Kind {
     Veil,
 }
 
-impl obvhs::Boundable for Primitive {
-    fn aabb(&self) -> obvhs::aabb::Aabb {
-        let (a, b, c) = (self.a, self.a + self.ab, self.a + self.ac);
-        obvhs::aabb::Aabb::new(a.min(b).min(c).into(), a.max(b).max(c).into())
+impl Kind {
+    fn of(material: &Material) -> Self {
+        match material.alpha {
+            _ if material.transmission > 0.0 => Kind::Veil,
+            Alpha::Opaque => Kind::Solid,
+            Alpha::Mask(_) => Kind::Masked,
+            Alpha::Blend => Kind::Veil,
+        }
     }
 }
 
+/// Index of a triangle with its kind in the two upper bits.
 #[derive(Clone, Copy)]
-struct Primitive {
-    a: Vec3,
-    ab: Vec3,
-    ac: Vec3,
-    triangle: u32,
-    kind: Kind,
-}
+struct Id(u32);
 
-impl Primitive {
-    /// Möller–Trumbore: (t, u, v, seen from behind).
-    #[inline(always)]
-    fn intersect(&self, ray: &Ray, normal_is_flipped: bool) -> Option<(f32, f32, f32, bool)> {
-        let d = Vec3::from(ray.direction);
-        let p = d.cross(self.ac);
-        let det = self.ab.dot(p);
-        let inverse = 1.0 / det;
-        let s = Vec3::from(ray.origin) - self.a;
-        let u = s.dot(p) * inverse;
-        let q = s.cross(self.ab);
-        let v = d.dot(q) * inverse;
-        let t = self.ac.dot(q) * inverse;
-        // Written so that a NaN (det = 0) fails.
-        let inside = u >= -EDGE && v >= -EDGE && u + v <= 1.0 + EDGE && t >= ray.tmin && t <= ray.tmax;
-        inside.then_some((t, u, v, (det < 0.0) != normal_is_flipped))
+impl Id {
+    const SHIFT: u32 = 30;
+
+    fn new(triangle: u32, kind: Kind) -> Self {
+        Self(triangle | (kind as u32) << Self::SHIFT)
+    }
+
+    fn triangle(self) -> u32 {
+        self.0 & ((1 << Self::SHIFT) - 1)
+    }
+
+    fn kind(self) -> Kind {
+        match self.0 >> Self::SHIFT {
+            0 => Kind::Solid,
+            1 => Kind::Masked,
+            _ => Kind::Veil,
+        }
     }
 }
 
@@ -82,81 +116,138 @@ impl Primitive {
 pub struct Rays<'a> {
     pub geometry: &'a Geometry<'a>,
     bvh: CwBvh,
-    /// In the order of the BVH's leaves.
-    primitives: Vec<Primitive>,
-    /// Every surface is solid: no material is ever looked up along a ray.
+    /// In the order of the hierarchy's leaves, as are `ids`.
+    corners: Vec<Corners>,
+    ids: Vec<Id>,
     all_solid: bool,
-}
-
-fn kind(material: &Material) -> Kind {
-    match material.alpha {
-        _ if material.transmission > 0.0 => Kind::Veil,
-        Alpha::Opaque => Kind::Solid,
-        Alpha::Mask(_) => Kind::Masked,
-        Alpha::Blend => Kind::Veil,
-    }
 }
 
 impl<'a> Rays<'a> {
     pub fn new(geometry: &'a Geometry<'a>) -> Self {
-        let mut primitives = Vec::new();
+        let mut boxes = Vec::new();
+        let mut ids = Vec::new();
         for (i, t) in geometry.triangles.iter().enumerate() {
             let material = geometry.material(i as u32);
             if t.is_degenerate() || material.unlit || !geometry.scene.instances[t.instance as usize].casts {
                 continue;
             }
             let [a, b, c] = t.corners;
-            primitives.push(Primitive { a, ab: b - a, ac: c - a, triangle: i as u32, kind: kind(material) });
+            boxes.push(Aabb::new((a.min(b).min(c) - PAD).into(), (a.max(b).max(c) + PAD).into()));
+            ids.push(Id::new(i as u32, Kind::of(material)));
         }
-        let mut time = Duration::ZERO;
-        let bvh = if primitives.is_empty() {
-            CwBvh::default()
-        } else {
-            build_cwbvh(&primitives, BvhBuildParams::medium_build(), &mut time)
-        };
-        let primitives: Vec<_> = bvh.primitive_indices.iter().map(|&i| primitives[i as usize]).collect();
-        let all_solid = primitives.iter().all(|p| p.kind == Kind::Solid);
-        Self { geometry, bvh, primitives, all_solid }
+        let all_solid = ids.iter().all(|id| id.kind() == Kind::Solid);
+        let mut bvh = hierarchy::build(&boxes);
+        drop(boxes);
+        let order = std::mem::take(&mut bvh.primitive_indices);
+        bvh.nodes.shrink_to_fit();
+        let ids: Vec<Id> = order.iter().map(|&i| ids[i as usize]).collect();
+        let corners = ids.iter().map(|id| Corners::new(geometry.triangles[id.triangle() as usize].corners)).collect();
+        Self { geometry, bvh, corners, ids, all_solid }
     }
 
-    /// The nearest surface along `direction` (unit) within `(0, max)`, holes skipped, veils included.
+    /// The nearest surface along `direction` (unit) within `[0, max)`, holes skipped, veils included.
     pub fn closest(&self, origin: Vec3, direction: Vec3, max: f32) -> Option<Hit> {
-        let mut found = None;
-        let mut hit = RayHit::none();
-        if self.primitives.is_empty() {
-            return None;
-        }
-        let ray = Ray::new(Vec3A::from(origin), Vec3A::from(direction), 0.0, max);
-        self.bvh.ray_traverse(ray, &mut hit, |ray, id| {
-            let p = &self.primitives[id];
-            match self.test(p, ray) {
-                Some(h) if p.kind != Kind::Masked || self.is_there(&h) => {
-                    found = Some(h);
-                    h.distance
-                }
-                _ => f32::INFINITY,
+        let mut nearest: Option<Hit> = None;
+        self.traverse(origin, direction, max, |hit, kind| {
+            if kind != Kind::Solid && !self.is_there(&hit) {
+                return f32::INFINITY;
             }
+            if nearest.is_none_or(|n| hit.order(&n).is_lt()) {
+                nearest = Some(hit);
+            }
+            hit.distance
         });
-        found
+        nearest.map(|hit| self.sided(hit, direction))
     }
 
-    /// The share of light that passes along `direction` (unit) within `(0, max)`: 1 where nothing is in the way.
-    pub fn transmittance(&self, origin: Vec3, direction: Vec3, max: f32) -> Rgb {
-        if self.primitives.is_empty() {
-            return Rgb::ONE;
+    /// Visits the surfaces along `direction` (unit) within `[0, max)` from front to back, with the share of the light
+    /// that reaches the ray's origin from there, until less than a thousandth of it is left. Returns what is left at
+    /// the end of the ray: 0 behind an opaque surface.
+    pub fn first_hits(&self, origin: Vec3, direction: Vec3, max: f32, f: impl FnMut(&Hit, Rgb)) -> Rgb {
+        self.walk(origin, direction, max, FAINT, f)
+    }
+
+    /// [`Rays::first_hits`] that ends where no more than `faint` is left; with 0 it leaves nothing out.
+    pub fn walk(&self, origin: Vec3, direction: Vec3, max: f32, faint: f32, mut f: impl FnMut(&Hit, Rgb)) -> Rgb {
+        if self.all_solid {
+            return match self.closest(origin, direction, max) {
+                Some(hit) => {
+                    f(&hit, Rgb::ONE);
+                    Rgb::ZERO
+                }
+                None => Rgb::ONE,
+            };
         }
-        let ray = Ray::new(Vec3A::from(origin), Vec3A::from(direction), 0.0, max);
-        let mut pass = Rgb::ONE;
-        let missed = self.bvh.ray_traverse_miss(ray, |ray, id| {
-            let p = &self.primitives[id];
-            let Some(h) = self.test(p, ray) else { return f32::INFINITY };
-            if p.kind == Kind::Solid {
-                return h.distance;
+        let (mut veils, mut nearest) = (Vec::new(), None::<Hit>);
+        self.traverse(origin, direction, max, |hit, kind| {
+            if kind != Kind::Solid {
+                let surface = self.geometry.surface(hit.triangle, hit.u, hit.v, 0.0);
+                if surface.coverage <= 0.0 {
+                    return f32::INFINITY;
+                }
+                if surface.transmittance != Rgb::ZERO {
+                    veils.push((hit, surface.transmittance));
+                    return f32::INFINITY;
+                }
             }
-            pass *= self.geometry.surface(h.triangle, h.u, h.v, 0.0).transmittance;
-            if pass.max_element() > 1e-4 { f32::INFINITY } else { h.distance }
+            if nearest.is_none_or(|n| hit.order(&n).is_lt()) {
+                nearest = Some(hit);
+            }
+            hit.distance
         });
-        if missed { pass } else { Rgb::ZERO }
+        veils.sort_unstable_by(|(a, _), (b, _)| a.order(b));
+        let mut share = Rgb::ONE;
+        for (hit, transmittance) in veils {
+            if nearest.is_some_and(|n| n.order(&hit).is_lt()) {
+                break;
+            }
+            f(&self.sided(hit, direction), share);
+            share *= transmittance;
+            if share.max_element() <= faint {
+                return Rgb::ZERO;
+            }
+        }
+        match nearest {
+            Some(hit) => {
+                f(&self.sided(hit, direction), share);
+                Rgb::ZERO
+            }
+            None => share,
+        }
+    }
+
+    /// The share of light that passes along `direction` (unit) within `[0, max)`: 1 where nothing is in the way.
+    pub fn transmittance(&self, origin: Vec3, direction: Vec3, max: f32) -> Rgb {
+        let mut veils = Vec::new();
+        let mut pass = Rgb::ONE;
+        let missed = self.traverse_any(origin, direction, max, |hit, kind| {
+            if kind == Kind::Solid {
+                return hit.distance;
+            }
+            let transmittance = self.geometry.surface(hit.triangle, hit.u, hit.v, 0.0).transmittance;
+            if transmittance == Rgb::ONE {
+                return f32::INFINITY;
+            }
+            veils.push((hit, transmittance));
+            pass *= transmittance;
+            if pass.max_element() > OPAQUE { f32::INFINITY } else { hit.distance }
+        });
+        if !missed {
+            return Rgb::ZERO;
+        }
+        if veils.len() < 2 {
+            return pass;
+        }
+        veils.sort_unstable_by(|(a, _), (b, _)| a.order(b));
+        veils.iter().fold(Rgb::ONE, |pass, (_, transmittance)| pass * transmittance)
+    }
+
+    /// The share of light that passes between two surface points, given their unit geometric normals.
+    pub fn between(&self, (p, np): (Vec3, Vec3), (q, nq): (Vec3, Vec3)) -> Rgb {
+        let origin = leave(p, np, q - p);
+        let step = leave(q, nq, p - q) - origin;
+        let length = step.length();
+        if length > 0.0 { self.transmittance(origin, step / length, length) } else { Rgb::ONE }
     }
 
     /// Every surface is solid, so [`Rays::transmittance`] is 0 or 1.
@@ -164,11 +255,46 @@ impl<'a> Rays<'a> {
         self.all_solid
     }
 
-    fn test(&self, p: &Primitive, ray: &Ray) -> Option<Hit> {
-        let normal = self.geometry.triangles[p.triangle as usize].normal;
-        let flipped = p.ab.cross(p.ac).dot(normal) < 0.0;
-        let (distance, u, v, back) = p.intersect(ray, flipped)?;
-        Some(Hit { distance, triangle: p.triangle, u: u.clamp(0.0, 1.0), v: v.clamp(0.0, 1.0), back })
+    /// Bytes that this view holds beyond its geometry.
+    pub fn bytes(&self) -> usize {
+        std::mem::size_of_val(&self.bvh.nodes[..])
+            + std::mem::size_of_val(&self.corners[..])
+            + std::mem::size_of_val(&self.ids[..])
+    }
+
+    /// Calls `accept` for every triangle hit in front of the nearest distance that it has returned so far.
+    #[inline(always)]
+    fn traverse(&self, origin: Vec3, direction: Vec3, max: f32, mut accept: impl FnMut(Hit, Kind) -> f32) {
+        if self.ids.is_empty() {
+            return;
+        }
+        let shear = Shear::new(origin, direction);
+        // Accepting ties needs the next larger bound: coincident surfaces must all be seen.
+        self.bvh.ray_traverse(ray(origin, direction, max), &mut RayHit::none(), |ray, at| {
+            let bound = if ray.tmax < max { ray.tmax.next_up() } else { max };
+            self.meet(at, &shear, bound, &mut accept)
+        });
+    }
+
+    /// Calls `accept` for triangles hit until it returns a distance. True when it never did.
+    #[inline(always)]
+    fn traverse_any(&self, origin: Vec3, direction: Vec3, max: f32, mut accept: impl FnMut(Hit, Kind) -> f32) -> bool {
+        if self.ids.is_empty() {
+            return true;
+        }
+        let shear = Shear::new(origin, direction);
+        self.bvh.ray_traverse_miss(ray(origin, direction, max), |_, at| self.meet(at, &shear, max, &mut accept))
+    }
+
+    #[inline(always)]
+    fn meet(&self, at: usize, shear: &Shear, max: f32, accept: &mut impl FnMut(Hit, Kind) -> f32) -> f32 {
+        let Some((distance, u, v)) = self.corners[at].intersect(shear, max) else { return f32::INFINITY };
+        let id = self.ids[at];
+        accept(Hit { distance, triangle: id.triangle(), u, v, back: false }, id.kind())
+    }
+
+    fn sided(&self, hit: Hit, direction: Vec3) -> Hit {
+        Hit { back: self.geometry.triangles[hit.triangle as usize].normal.dot(direction) > 0.0, ..hit }
     }
 
     fn is_there(&self, hit: &Hit) -> bool {
@@ -176,23 +302,11 @@ impl<'a> Rays<'a> {
     }
 }
 
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use luxel_scene::build::Builder;
-
-    #[test]
-    fn a_box_is_hit_from_inside_on_its_front() {
-        let mut b = Builder::new("box");
-        let white = b.matte(Vec3::splat(0.5));
-        b.cuboid("room", Vec3::ZERO, Vec3::ONE, white, true);
-        let scene = b.build();
-        let geometry = Geometry::new(&scene);
-        let rays = Rays::new(&geometry);
-        let hit = rays.closest(Vec3::ZERO, Vec3::X, f32::INFINITY).unwrap();
-        assert!(!hit.back);
-        assert!((hit.distance - 2048.0).abs() < 1e-2, "{}", hit.distance);
-        assert_eq!(rays.transmittance(Vec3::ZERO, Vec3::X, 2000.0), Rgb::ONE);
-        assert_eq!(rays.transmittance(Vec3::ZERO, Vec3::X, 3000.0), Rgb::ZERO);
-    }
+/// The hierarchy takes −0 for a positive direction with a negative inverse and then misses every box: adding +0 makes
+/// it +0.
+fn ray(origin: Vec3, direction: Vec3, max: f32) -> Ray {
+    Ray::new(Vec3A::from(origin), Vec3A::from(direction) + Vec3A::ZERO, 0.0, max)
 }
+
+#[cfg(test)]
+mod tests;
