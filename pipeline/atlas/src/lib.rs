@@ -1,14 +1,41 @@
 //! Where texels are: unwrap, packing, texel positions, dilation, seam stitching.
 //!
-//! | stage | module | in → out |
+//! | stage | modules | in → out |
 //! |---|---|---|
-//! | unwrap | `unwrap` | mesh → charts in object space (xatlas, or an authored TEXCOORD_1 that is valid) |
-//! | pack | `pack` | charts of all instances → pages of texels |
+//! | choose | [`layout`], [`authored`] | scene → per instance: its TEXCOORD_1, or the unwrap of its mesh |
+//! | unwrap | [`unwrap`] with `segment`, `planar`, `shape`; [`worker`], `xatlas` | mesh → [`charts::Charts`] in object units, shared by instances |
+//! | pack | `blocks`, `place`, `pack` | charts of all instances → rectangles on pages |
 //! | rasterise | `texels` | placed charts → [`Texel`]s with coverage |
-//! | finish | `finish` | values per texel → dilated, stitched images |
+//!
+//! [`build`] goes from the scene to the atlas; [`Layout::complete`] and [`assemble`] are its two halves, for
+//! callers that keep unwraps.
 //!
 //! This room knows nothing of light and opens no file.
 
+mod assemble;
 pub mod atlas;
+pub mod authored;
+mod blocks;
+pub mod charts;
+pub mod layout;
+mod mesh;
+mod overlap;
+mod pack;
+mod place;
+mod planar;
+mod segment;
+mod settings;
+mod shape;
+mod texels;
+pub mod unwrap;
+pub mod worker;
+mod xatlas;
 
+pub use assemble::{assemble, build};
 pub use atlas::{Atlas, Chart, Page, Placed, Texel};
+pub use charts::Charts;
+pub use layout::{Layout, Source, Unwraps};
+pub use mesh::mesh_key;
+pub use settings::{AtlasError, AtlasReport, AtlasSettings, MAX_SIZE};
+pub use unwrap::{InProcess, UnwrapError, Unwrapper};
+pub use worker::{Worker, worker_main};

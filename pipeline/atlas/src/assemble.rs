@@ -1,0 +1,228 @@
+//! The whole way from a scene to its atlas.
+
+use glam::Vec2;
+use luxel_scene::{Progress, Scene};
+use rayon::prelude::*;
+
+use crate::blocks::{self, Block};
+use crate::charts::{Charts, NO_CHART};
+use crate::layout::{Layout, Source, Unwraps};
+use crate::mesh::mesh_key;
+use crate::place::{self, Place, Placement};
+use crate::settings::{AtlasError, AtlasReport, AtlasSettings};
+use crate::texels::{self, Found};
+use crate::unwrap::Unwrapper;
+use crate::{Atlas, Chart, Page, Placed, Texel, authored};
+
+/// Unwraps, packs and rasterises a scene.
+///
+/// # Errors
+/// Settings out of range, charts that fit nowhere, an unwrapper that does not work, cancellation.
+pub fn build(
+    scene: &Scene,
+    settings: &AtlasSettings,
+    unwrapper: &dyn Unwrapper,
+    progress: &dyn Progress,
+) -> Result<(Atlas, AtlasReport), AtlasError> {
+    settings.check()?;
+    let layout = Layout::new(scene);
+    let mut unwraps = Unwraps::new();
+    layout.complete(scene, &mut unwraps, unwrapper, progress)?;
+    assemble(scene, settings, &layout, &unwraps, progress)
+}
+
+/// Packs and rasterises a scene whose unwraps are known.
+///
+/// # Errors
+/// As [`build`], and when an unwrap is missing or belongs to another mesh.
+pub fn assemble(
+    scene: &Scene,
+    settings: &AtlasSettings,
+    layout: &Layout,
+    unwraps: &Unwraps,
+    progress: &dyn Progress,
+) -> Result<(Atlas, AtlasReport), AtlasError> {
+    settings.check()?;
+    let blocks = blocks::blocks(scene, layout, unwraps)?;
+    let placement = place::place(&blocks, settings, progress)?;
+    progress.begin("texels", blocks.len() as u64);
+    let seeds = Seeds::new(scene, layout);
+    let found: Vec<Vec<Found>> = blocks
+        .par_iter()
+        .zip(&placement.places)
+        .map(|(block, place)| {
+            progress.check()?;
+            let found = texels::texels(block, place, |instance| seeds.chart(instance, block.number));
+            progress.advance(1);
+            Ok(found)
+        })
+        .collect::<Result<_, AtlasError>>()?;
+    let side = settings.size;
+    let mut atlas = Atlas {
+        pages: vec![Page { width: side, height: side }; placement.pages as usize],
+        placed: placed(scene, layout, unwraps, &blocks, &placement, side),
+        ..Atlas::default()
+    };
+    for ((block, place), found) in blocks.iter().zip(&placement.places).zip(&found) {
+        for &instance in &block.instances {
+            let texels = found.iter().filter(|f| f.instance == instance).map(|f| f.texel);
+            push_chart(&mut atlas, instance, place, seeds.chart(instance, block.number), texels);
+        }
+    }
+    let report = report(scene, layout, unwraps, settings, &atlas, &placement);
+    Ok((atlas, report))
+}
+
+fn push_chart(atlas: &mut Atlas, instance: u32, place: &Place, seed: u64, texels: impl Iterator<Item = Texel>) {
+    let first = atlas.texels.len();
+    let chart = atlas.charts.len() as u32;
+    atlas.texels.extend(texels.map(|texel| Texel { chart, ..texel }));
+    let [w, h] = place.size;
+    let (width, height) = if place.turn.is_multiple_of(2) { (w, h) } else { (h, w) };
+    atlas.charts.push(Chart {
+        instance,
+        page: place.page,
+        x: place.x,
+        y: place.y,
+        width,
+        height,
+        first_texel: first as u32,
+        texels: (atlas.texels.len() - first) as u32,
+        seed,
+    });
+}
+
+/// Chart seeds: hash of the mesh's content, the instance's name and the chart's number.
+struct Seeds(Vec<blake3::Hasher>);
+
+impl Seeds {
+    fn new(scene: &Scene, layout: &Layout) -> Self {
+        let hasher = |(instance, source): (&luxel_scene::Instance, &Source)| {
+            let mut hasher = blake3::Hasher::new();
+            match source {
+                Source::None => {}
+                Source::Unwrap(key) => _ = hasher.update(key),
+                Source::Authored(_) => _ = hasher.update(&mesh_key(&scene.meshes[instance.mesh])),
+            }
+            hasher.update(instance.name.as_bytes());
+            hasher
+        };
+        Self(scene.instances.par_iter().zip(&layout.sources).map(hasher).collect())
+    }
+
+    fn chart(&self, instance: u32, number: u32) -> u64 {
+        let digest = self.0[instance as usize].clone().update(&number.to_le_bytes()).finalize();
+        digest.as_bytes()[..8].iter().fold(0, |seed, &byte| seed << 8 | u64::from(byte))
+    }
+}
+
+fn placed(
+    scene: &Scene,
+    layout: &Layout,
+    unwraps: &Unwraps,
+    blocks: &[Block],
+    placement: &Placement,
+    side: u32,
+) -> Vec<Option<Placed>> {
+    // Blocks of each instance, ascending.
+    let mut of: Vec<Vec<usize>> = vec![Vec::new(); scene.instances.len()];
+    for (b, block) in blocks.iter().enumerate() {
+        block.instances.iter().for_each(|&i| of[i as usize].push(b));
+    }
+    let one = |i: usize| -> Option<Placed> {
+        let mesh = &scene.meshes[scene.instances[i].mesh];
+        let on_page = |b: usize, uv: [f32; 2]| {
+            (texels::placed(blocks[b].unit(uv), &placement.places[b]) / f64::from(side)).as_vec2()
+        };
+        let page = of[i].first().map_or(0, |&b| placement.places[b].page);
+        match layout.sources[i] {
+            Source::None => None,
+            Source::Unwrap(key) => {
+                let charts = unwraps.get(&key)?;
+                let uvs = chart_uvs(charts, blocks, &of[i], on_page);
+                Some(Placed { page, source: charts.source.clone(), uvs, triangles: charts.triangles.clone() })
+            }
+            Source::Authored(_) => {
+                let set = &mesh.uvs[authored::LIGHTMAP_SET];
+                let uvs = match of[i].first() {
+                    Some(&b) => set.iter().map(|uv| on_page(b, uv.to_array())).collect(),
+                    None => vec![Vec2::ZERO; set.len()],
+                };
+                let source = (0..set.len() as u32).collect();
+                Some(Placed { page, source, uvs, triangles: mesh.triangles.clone() })
+            }
+        }
+    };
+    (0..scene.instances.len()).into_par_iter().map(one).collect()
+}
+
+/// Atlas coordinates of an unwrap's vertices. Vertices outside any placed chart (triangles without area) go to
+/// the instance's first chart, where at least they read its own light.
+fn chart_uvs(charts: &Charts, blocks: &[Block], own: &[usize], on_page: impl Fn(usize, [f32; 2]) -> Vec2) -> Vec<Vec2> {
+    let mut block_of = vec![None; charts.charts as usize];
+    own.iter().for_each(|&b| block_of[blocks[b].number as usize] = Some(b));
+    charts
+        .uvs
+        .iter()
+        .zip(&charts.vertex_chart)
+        .map(|(&uv, &chart)| {
+            let block = if chart == NO_CHART { None } else { block_of[chart as usize] };
+            match (block, own.first()) {
+                (Some(b), _) => on_page(b, uv),
+                (None, Some(&b)) => on_page(b, blocks[b].origin.as_vec2().to_array()),
+                (None, None) => Vec2::ZERO,
+            }
+        })
+        .collect()
+}
+
+fn report(
+    scene: &Scene,
+    layout: &Layout,
+    unwraps: &Unwraps,
+    settings: &AtlasSettings,
+    atlas: &Atlas,
+    placement: &Placement,
+) -> AtlasReport {
+    let page_texels = f64::from(settings.size).powi(2) * f64::from(placement.pages.max(1));
+    let mut named: Vec<(usize, &Charts)> = Vec::new();
+    for (instance, source) in scene.instances.iter().zip(&layout.sources) {
+        if let Source::Unwrap(key) = source
+            && let Some(charts) = unwraps.get(key)
+        {
+            named.push((instance.mesh, charts));
+        }
+    }
+    named.sort_by_key(|(mesh, _)| *mesh);
+    named.dedup_by_key(|(mesh, _)| *mesh);
+    let fallbacks = named.iter().flat_map(|(mesh, charts)| {
+        charts.fallbacks.iter().map(|(why, n)| (scene.meshes[*mesh].name.clone(), why.clone(), *n))
+    });
+    // A group is numbered by its turn among the receiving instances and authored groups.
+    let leaders: Vec<usize> = (0..scene.instances.len())
+        .filter(|&i| match layout.sources[i] {
+            Source::None => false,
+            Source::Unwrap(_) => true,
+            Source::Authored(g) => layout.groups[g].first() == Some(&i),
+        })
+        .collect();
+    // Once per group, with the lowest density of its charts.
+    let mut lowest = placement.lowered.clone();
+    lowest.sort_by(|a, b| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)));
+    lowest.dedup_by_key(|(group, _)| *group);
+    let lowered = lowest.iter().filter_map(|&(group, density)| {
+        leaders.get(group as usize).map(|&i| (scene.instances[i].name.clone(), density))
+    });
+    AtlasReport {
+        pages: placement.pages,
+        density: placement.density,
+        charts: atlas.charts.len() as u32,
+        texels: atlas.texels.len() as u32,
+        utilisation: atlas.texels.iter().map(|t| f64::from(t.coverage)).sum::<f64>() / page_texels,
+        occupied: placement.occupied as f64 / page_texels,
+        kept: layout.kept.clone(),
+        unwrapped_anew: layout.refused.clone(),
+        fallbacks: fallbacks.collect(),
+        lowered: lowered.collect(),
+    }
+}
