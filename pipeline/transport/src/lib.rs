@@ -11,9 +11,11 @@
 //! Invariants: no module here reads a file, a clock or the number of threads to decide a value; the same input
 //! gives the same bytes. Lengths are in the units of the [`frame::Frame`], light is in SI photometric units.
 
+pub mod direct;
 pub mod frame;
 pub mod gather;
 pub mod geometry;
+pub mod lights;
 pub mod rays;
 pub mod sampling;
 pub mod surfel;

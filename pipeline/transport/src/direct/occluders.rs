@@ -1,0 +1,148 @@
+//! What can block light: the casting triangles under a binary BVH that answers shafts and segments.
+//!
+//! Segments use the same shadow cones as whole targets ([`super::cone`]), so that the choice between the two, made
+//! for speed, does not change what is visible.
+
+use std::time::Duration;
+
+use glam::Vec3;
+use obvhs::{Boundable, BvhBuildParams, aabb::Aabb, bvh2::Bvh2, bvh2::builder::build_bvh2};
+
+use super::{
+    cone::Cone,
+    shaft::Shaft,
+    target::{Plane, Points},
+};
+use crate::geometry::Geometry;
+
+/// Marks an occluder that is not simply solid: holes, veils, coloured glass.
+pub const VEIL: u32 = 1 << 31;
+
+/// How a segment fares.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Passage {
+    Open,
+    /// Only surfaces in the way that may let light pass.
+    Veiled,
+    Blocked,
+}
+
+/// The casting triangles of a scene.
+pub struct Occluders<'a> {
+    geometry: &'a Geometry<'a>,
+    bvh: Bvh2,
+    /// Triangles in the order of the BVH's leaves, with [`VEIL`].
+    order: Vec<u32>,
+}
+
+struct Item<'a>(&'a [Vec3; 3]);
+
+impl Boundable for Item<'_> {
+    fn aabb(&self) -> Aabb {
+        let [a, b, c] = *self.0;
+        Aabb::new(a.min(b).min(c).into(), a.max(b).max(c).into())
+    }
+}
+
+impl<'a> Occluders<'a> {
+    pub fn new(geometry: &'a Geometry<'a>) -> Self {
+        let mut ids = Vec::new();
+        for (i, t) in geometry.triangles.iter().enumerate() {
+            let material = geometry.material(i as u32);
+            if !t.is_degenerate() && !material.unlit && geometry.scene.instances[t.instance as usize].casts {
+                ids.push(i as u32 | if material.is_opaque() { 0 } else { VEIL });
+            }
+        }
+        let items: Vec<_> = ids.iter().map(|&i| Item(&geometry.triangles[(i & !VEIL) as usize].corners)).collect();
+        let mut time = Duration::ZERO;
+        let bvh = if items.is_empty() {
+            Bvh2::default()
+        } else {
+            build_bvh2(&items, BvhBuildParams::medium_build(), &mut time)
+        };
+        let order = bvh.primitive_indices.iter().map(|&i| ids[i as usize]).collect();
+        Self { geometry, bvh, order }
+    }
+
+    /// Corners of an occluder.
+    #[inline]
+    pub fn corners(&self, id: u32) -> [Vec3; 3] {
+        self.geometry.triangles[(id & !VEIL) as usize].corners
+    }
+
+    /// Appends every occluder that may reach into the shaft; false, with some missing, when there are more than
+    /// `limit`.
+    pub fn query(&self, shaft: &Shaft, limit: usize, out: &mut Vec<u32>) -> bool {
+        let start = out.len();
+        let reached = self.visit(
+            |lo, hi| !shaft.misses_box(lo, hi),
+            |id| {
+                if !shaft.misses_triangle(self.corners(id)) {
+                    out.push(id);
+                }
+                out.len() - start <= limit
+            },
+        );
+        if !reached {
+            out.truncate(start);
+        }
+        reached
+    }
+
+    /// What is between `point` and one point of a target.
+    pub fn passage(&self, point: Vec3, plane: &Plane, points: &Points, at: usize) -> Passage {
+        let (u, v) = (points.u[at], points.v[at]);
+        let to = plane.at(u, v);
+        // Finite, so that 0 · ∞ never arises where the segment runs along an axis.
+        let inverse = to.recip().clamp(Vec3::splat(-1e30), Vec3::splat(1e30));
+        let mut passage = Passage::Open;
+        let clear = self.visit(
+            |lo, hi| segment_meets_box(point, inverse, lo, hi),
+            |id| {
+                let hides = |c: &Cone| c.hides(u, v);
+                if Cone::new(point, self.corners(id), plane, &points.corners).as_ref().is_some_and(hides) {
+                    passage = Passage::Veiled;
+                    return id & VEIL != 0;
+                }
+                true
+            },
+        );
+        if clear { passage } else { Passage::Blocked }
+    }
+
+    /// Visits the triangles of all boxes that `enter` accepts until `leaf` returns false; whether it never did.
+    fn visit(&self, enter: impl Fn(Vec3, Vec3) -> bool, mut leaf: impl FnMut(u32) -> bool) -> bool {
+        if self.order.is_empty() {
+            return true;
+        }
+        // Grows only for degenerate trees.
+        let mut stack = Vec::with_capacity(64);
+        stack.push(0u32);
+        while let Some(at) = stack.pop() {
+            let node = &self.bvh.nodes[at as usize];
+            let aabb = node.aabb();
+            if !enter(aabb.min.into(), aabb.max.into()) {
+                continue;
+            }
+            if node.is_leaf() {
+                let first = node.first_index as usize;
+                for &id in &self.order[first..first + node.prim_count as usize] {
+                    if !leaf(id) {
+                        return false;
+                    }
+                }
+            } else {
+                stack.extend([node.first_index + 1, node.first_index]);
+            }
+        }
+        true
+    }
+}
+
+/// Slab test of the segment from `p` with per-axis inverse of its extent, grown by a little.
+fn segment_meets_box(p: Vec3, inverse: Vec3, lo: Vec3, hi: Vec3) -> bool {
+    const GROW: f32 = 1e-3;
+    let (a, b) = ((lo - GROW - p) * inverse, (hi + GROW - p) * inverse);
+    let (near, far) = (a.min(b), a.max(b));
+    near.x.max(near.y).max(near.z).max(0.0) <= far.x.min(far.y).min(far.z).min(1.0)
+}
