@@ -1,0 +1,126 @@
+//! Clusters: fragments of one voxel that share an orientation become one surfel.
+
+use glam::{DVec3, IVec3};
+
+use super::{Grid, Surfel, fill, fragment::Fragment};
+use crate::geometry::Geometry;
+
+/// Fragments whose normals have a larger cosine share a surfel.
+const COSINE: f64 = 0.9;
+
+/// Surfels of one voxel, at most; further fragments join the surfel that looks most like them. Foliage would
+/// otherwise give dozens, which neither the voxel size nor the sweep can tell apart.
+pub const MAX_PER_VOXEL: usize = 32;
+
+/// Clusters with less area, in squared voxel edges, are rounding.
+const SLIVER: f64 = 1e-6;
+
+/// A surfel that is being collected; sums are weighted by covered area.
+pub struct Cluster {
+    pub normal: DVec3,
+    /// Area without regard to coverage, squared voxel edges.
+    pub area: f64,
+    pub centroid: DVec3,
+    covered: f64,
+    opaque: f64,
+    albedo: DVec3,
+    emission: DVec3,
+    emits: bool,
+    largest: f64,
+    triangle: u32,
+    u: f32,
+    v: f32,
+    back: bool,
+}
+
+impl Cluster {
+    fn new(f: &Fragment, back: bool, emits: bool) -> Self {
+        Self {
+            normal: DVec3::ZERO,
+            area: 0.0,
+            centroid: DVec3::ZERO,
+            covered: 0.0,
+            opaque: 0.0,
+            albedo: DVec3::ZERO,
+            emission: DVec3::ZERO,
+            emits,
+            largest: 0.0,
+            triangle: f.triangle,
+            u: f.u,
+            v: f.v,
+            back,
+        }
+    }
+
+    fn add(&mut self, f: &Fragment, normal: DVec3, back: bool) {
+        let covered = f.area * f64::from(f.coverage);
+        self.normal += f.area * normal;
+        self.area += f.area;
+        self.centroid += covered * f.centroid;
+        self.covered += covered;
+        self.opaque += f.area * f64::from(f.opacity);
+        self.albedo += covered * f.albedo.as_dvec3();
+        self.emission += covered * f.emission.as_dvec3();
+        if covered > self.largest {
+            (self.largest, self.triangle, self.u, self.v, self.back) = (covered, f.triangle, f.u, f.v, back);
+        }
+    }
+
+    /// Turns sums into means; `None` for rounding, and where normals cancel.
+    fn finish(mut self) -> Option<Self> {
+        self.normal = self.normal.try_normalize()?;
+        self.centroid /= self.covered;
+        (self.covered > SLIVER).then_some(self)
+    }
+
+    fn surfel(&self, grid: &Grid, voxel: IVec3, fill: f64) -> Surfel {
+        let edge = f64::from(grid.edge);
+        let lo = voxel.as_dvec3();
+        let centroid = self.centroid.clamp(lo, lo + 1.0);
+        Surfel {
+            voxel,
+            centroid: (grid.origin.as_dvec3() + edge * centroid).as_vec3(),
+            normal: self.normal.as_vec3(),
+            area: (self.covered * edge * edge) as f32,
+            albedo: (self.albedo / self.covered).as_vec3(),
+            emission: (self.emission / self.covered).as_vec3(),
+            fill: (fill * self.opaque / self.area) as f32,
+            triangle: self.triangle,
+            u: self.u,
+            v: self.v,
+            back: self.back,
+        }
+    }
+}
+
+/// The surfels of one voxel from its fragments, which come in the order of their triangles.
+pub fn surfels(geometry: &Geometry, grid: &Grid, fragments: &[Fragment], out: &mut Vec<Surfel>) {
+    let Some(voxel) = fragments.first().map(|f| f.voxel) else { return };
+    let mut clusters: Vec<Cluster> = Vec::new();
+    for f in fragments {
+        let normal = geometry.triangles[f.triangle as usize].normal.as_dvec3();
+        put(&mut clusters, f, normal, false);
+        if geometry.material(f.triangle).double_sided {
+            put(&mut clusters, f, -normal, true);
+        }
+    }
+    let clusters: Vec<Cluster> = clusters.into_iter().filter_map(Cluster::finish).collect();
+    for (i, cluster) in clusters.iter().enumerate() {
+        out.push(cluster.surfel(grid, voxel, fill::fraction(voxel, &clusters, i)));
+    }
+}
+
+fn put(clusters: &mut Vec<Cluster>, f: &Fragment, normal: DVec3, back: bool) {
+    let emits = f.emission.max_element() > 0.0;
+    let cosine = |c: &Cluster| c.normal.dot(normal) / c.normal.length().max(f64::MIN_POSITIVE);
+    let matching = clusters.iter().position(|c| c.emits == emits && cosine(c) > COSINE);
+    let index = match matching {
+        Some(i) => i,
+        None if clusters.len() < MAX_PER_VOXEL => {
+            clusters.push(Cluster::new(f, back, emits));
+            clusters.len() - 1
+        }
+        None => (1..clusters.len()).fold(0, |b, i| if cosine(&clusters[i]) > cosine(&clusters[b]) { i } else { b }),
+    };
+    clusters[index].add(f, normal, back);
+}
