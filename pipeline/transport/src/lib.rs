@@ -12,13 +12,17 @@
 //! gives the same bytes. Lengths are in the units of the [`frame::Frame`], light is in SI photometric units.
 
 pub mod direct;
+pub mod directions;
 pub mod frame;
 pub mod gather;
 pub mod geometry;
+pub mod ledger;
 pub mod lights;
 pub mod rays;
 pub mod sampling;
+pub mod solve;
 pub mod surfel;
+pub mod sweep;
 
 /// Linear RGB triple of radiances, irradiances or reflectances; the name of the variable says which.
 pub type Rgb = glam::Vec3;

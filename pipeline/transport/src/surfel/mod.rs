@@ -22,6 +22,7 @@ use luxel_scene::Progress;
 
 use crate::{Rgb, geometry::Geometry};
 
+pub use cluster::MAX_PER_VOXEL;
 pub use voxelize::{MAX_SIDE, MAX_SURFELS, SurfelError};
 
 /// A regular grid over the normalised frame.

@@ -1,0 +1,84 @@
+//! The energy ledger: where the light of a bake went, band by band, in f64.
+//!
+//!   shot + sky = absorbed + escaped + in flight + imbalance
+//!
+//! `shot` is what the lights deposit on surfels (direct irradiance × area), `sky` what the sky adds in the sweep,
+//! `absorbed` the share 1 − ρ of all that arrived, `escaped` what was reflected into the sky, `in flight` what was
+//! reflected last and not propagated any more. A gather that divides by known weight is not exactly symmetric; what
+//! it gains or loses is the `imbalance`. All are fluxes: irradiance [lux] × area, in lumens once the areas are in
+//! squared metres ([`Ledger::scaled`]).
+
+use glam::DVec3;
+
+use crate::{Rgb, surfel::Surfels};
+
+/// Energy of one sweep.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Stage {
+    /// What the surfels sent out.
+    pub sent: DVec3,
+    /// The part of it that left the scene.
+    pub escaped: DVec3,
+    /// What the sky added.
+    pub sky: DVec3,
+    /// What arrived at surfels.
+    pub arrived: DVec3,
+}
+
+impl Stage {
+    /// Light that the sweep lost (positive) or made (negative).
+    pub fn imbalance(&self) -> DVec3 {
+        self.sent + self.sky - self.escaped - self.arrived
+    }
+}
+
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Ledger {
+    pub shot: DVec3,
+    pub sky: DVec3,
+    pub absorbed: DVec3,
+    pub escaped: DVec3,
+    pub in_flight: DVec3,
+    pub imbalance: DVec3,
+    /// Sweep by sweep; the last one also holds the tail.
+    pub stages: Vec<Stage>,
+}
+
+/// Σ A·E over all surfels.
+pub fn flux(surfels: &Surfels, light: impl Fn(usize) -> Rgb) -> DVec3 {
+    surfels.list.iter().enumerate().map(|(i, s)| f64::from(s.area) * light(i).as_dvec3()).sum()
+}
+
+impl Ledger {
+    /// Closes the books: `direct` and `indirect` irradiance are all that ever arrived.
+    pub fn close(stages: Vec<Stage>, surfels: &Surfels, direct: &[Rgb], indirect: &[Rgb]) -> Self {
+        let total = |i: usize| direct[i] + indirect[i];
+        let shot = flux(surfels, |i| direct[i]);
+        let absorbed = flux(surfels, |i| (Rgb::ONE - surfels.list[i].albedo) * total(i));
+        let reflected = flux(surfels, |i| surfels.list[i].albedo * total(i));
+        let sum = |part: fn(&Stage) -> DVec3| stages.iter().map(part).sum::<DVec3>();
+        let (sky, escaped) = (sum(|s| s.sky), sum(|s| s.escaped));
+        let in_flight = reflected - sum(|s| s.sent);
+        let imbalance = shot + sky - absorbed - escaped - in_flight;
+        Self { shot, sky, absorbed, escaped, in_flight, imbalance, stages }
+    }
+
+    /// The same books in other units of area: the factor is `1 / frame.scale²` for squared scene units.
+    pub fn scaled(&self, factor: f64) -> Self {
+        let stage = |s: &Stage| Stage {
+            sent: s.sent * factor,
+            escaped: s.escaped * factor,
+            sky: s.sky * factor,
+            arrived: s.arrived * factor,
+        };
+        Self {
+            shot: self.shot * factor,
+            sky: self.sky * factor,
+            absorbed: self.absorbed * factor,
+            escaped: self.escaped * factor,
+            in_flight: self.in_flight * factor,
+            imbalance: self.imbalance * factor,
+            stages: self.stages.iter().map(stage).collect(),
+        }
+    }
+}
