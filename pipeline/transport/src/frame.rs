@@ -7,7 +7,7 @@ use glam::{DVec3, Vec3};
 /// Longest side of the scene in frame units, at most.
 pub const SIDE: f64 = 4096.0;
 
-/// Scales stay within 2^±500, so that their squares and inverses are finite too.
+/// No scene is blown up by more than 2⁵⁰⁰, so that squares of the scale are finite.
 const MAX_EXPONENT: i32 = 500;
 
 /// World ↔ frame. Directions and angles are the same in both.
@@ -29,7 +29,7 @@ impl Frame {
         // side / SIDE = m · 2ᵉ with m in [½, 1), so 2⁻ᵉ brings the side into [½, 1) · SIDE, exactly.
         let (m, e) = libm::frexp(side / SIDE);
         let e = if m == 0.5 { e - 1 } else { e };
-        Self { center, scale: libm::ldexp(1.0, (-e).clamp(-MAX_EXPONENT, MAX_EXPONENT)) }
+        Self { center, scale: libm::ldexp(1.0, (-e).min(MAX_EXPONENT)) }
     }
 
     pub fn point(&self, world: DVec3) -> Vec3 {
@@ -63,6 +63,15 @@ mod tests {
                 let scaled = side * Frame::new(DVec3::ZERO, DVec3::new(0.0, side, side / 3.0)).scale;
                 assert!(scaled > 0.5 * SIDE && scaled <= SIDE, "{side}: {scaled}");
             }
+        }
+    }
+
+    #[test]
+    fn absurd_sizes_fit_too() {
+        for side in [f64::MAX, 1e300, 1e-300, 5e-324] {
+            let frame = Frame::new(DVec3::ZERO, DVec3::splat(side));
+            assert!(frame.scale > 0.0 && (frame.scale * frame.scale).is_finite(), "{side}: {frame:?}");
+            assert!(frame.point(DVec3::splat(side)).max_element() <= SIDE as f32, "{side}: {frame:?}");
         }
     }
 

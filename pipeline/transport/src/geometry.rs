@@ -206,7 +206,7 @@ mod tests {
     fn what_has_no_area_or_no_place_is_degenerate() {
         for transform in [
             DAffine3::from_scale(DVec3::new(1.0, 0.0, 1.0)),
-            DAffine3::from_scale(DVec3::splat(f64::MAX)),
+            DAffine3::from_scale(DVec3::splat(f64::INFINITY)),
             DAffine3::from_scale(DVec3::splat(f64::NAN)),
         ] {
             let mut b = quad();

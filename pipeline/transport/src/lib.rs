@@ -7,6 +7,8 @@
 //! | ray tracing | [`rays`] | geometry → closest hits and transmittances |
 //! | surfels | [`surfel`] | geometry → oriented voxel patches |
 //! | gather | [`gather`] | receivers → indirect irradiance with a stated bound |
+//! | reference | [`reference`] | receivers → irradiance with its standard error |
+//! | validity | [`validity`] | receivers → which of them are inside geometry |
 //!
 //! Invariants: no module here reads a file, a clock or the number of threads to decide a value; the same input
 //! gives the same bytes. Lengths are in the units of the [`frame::Frame`], light is in SI photometric units.
@@ -19,10 +21,12 @@ pub mod geometry;
 pub mod ledger;
 pub mod lights;
 pub mod rays;
+pub mod reference;
 pub mod sampling;
 pub mod solve;
 pub mod surfel;
 pub mod sweep;
+pub mod validity;
 
 /// Linear RGB triple of radiances, irradiances or reflectances; the name of the variable says which.
 pub type Rgb = glam::Vec3;

@@ -25,7 +25,7 @@ use obvhs::{
 };
 
 use crate::{Rgb, geometry::Geometry};
-use triangle::{Corners, Shear};
+use triangle::{Corners, Crossing, Shear};
 
 /// How far a ray starts from the surface that it leaves, in frame units: 16 ulp of the largest coordinate, and less
 /// than a thousandth of a texel of a 4096² map.
@@ -288,9 +288,16 @@ impl<'a> Rays<'a> {
 
     #[inline(always)]
     fn meet(&self, at: usize, shear: &Shear, max: f32, accept: &mut impl FnMut(Hit, Kind) -> f32) -> f32 {
-        let Some((distance, u, v)) = self.corners[at].intersect(shear, max) else { return f32::INFINITY };
+        let Some(Crossing { distance, u, v, owned }) = self.corners[at].intersect(shear, max) else {
+            return f32::INFINITY;
+        };
         let id = self.ids[at];
-        accept(Hit { distance, triangle: id.triangle(), u, v, back: false }, id.kind())
+        let kind = id.kind();
+        // Opaque surfaces stop a ray at either neighbour of an edge; veils must not weaken it twice.
+        if kind == Kind::Veil && !owned {
+            return f32::INFINITY;
+        }
+        accept(Hit { distance, triangle: id.triangle(), u, v, back: false }, kind)
     }
 
     fn sided(&self, hit: Hit, direction: Vec3) -> Hit {

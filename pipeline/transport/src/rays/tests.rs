@@ -118,7 +118,8 @@ fn walls_in_contact_are_found_at_every_scale() {
                 let shear = Shear::new(origin, d);
                 plain.ray_traverse(ray(origin, d, f32::INFINITY), &mut RayHit::none(), |_, at| {
                     let t = &geometry.triangles[plain.primitive_indices[at] as usize];
-                    let t = Corners::new(t.corners).intersect(&shear, f32::INFINITY).map_or(f32::INFINITY, |t| t.0);
+                    let t = Corners::new(t.corners).intersect(&shear, f32::INFINITY);
+                    let t = t.map_or(f32::INFINITY, |crossing| crossing.distance);
                     nearest = nearest.min(t);
                     t
                 });
@@ -216,6 +217,24 @@ fn a_walk_meets_every_veil_once_from_front_to_back() {
     let behind = origin + Vec3::Z * before_the_wall;
     let back = rays.transmittance(behind, -Vec3::Z, f32::INFINITY);
     assert!(back.abs_diff_eq(share, 1e-7), "{back} {share}");
+}
+
+/// Rays through the diagonal of a veil's two triangles meet one of them.
+#[test]
+fn a_veil_counts_once_on_its_inner_edges() {
+    let mut b = Builder::new("diagonal");
+    let passes = veils(&mut b);
+    let scene = b.build();
+    let geometry = Geometry::new(&scene);
+    let rays = Rays::new(&geometry);
+    let all: Rgb = passes.into_iter().product();
+    for i in -20..=20 {
+        for d in [Vec3::Z, Vec3::new(0.5, 0.5, 1.0).normalize()] {
+            let origin = geometry.frame.point(DVec3::new(f64::from(i) / 16.0, f64::from(i) / 16.0, 0.0));
+            let pass = rays.transmittance(origin, d, f32::INFINITY);
+            assert!(pass.abs_diff_eq(all, 1e-7), "{pass} instead of {all}");
+        }
+    }
 }
 
 /// The order of the triangles in the file shapes the hierarchy, and must not shape the result.
