@@ -6,6 +6,7 @@
 //! | unwrap | [`unwrap`] with `segment`, `planar`, `shape`; [`worker`], `xatlas` | mesh → [`charts::Charts`] in object units, shared by instances |
 //! | pack | `blocks`, `place`, `pack` | charts of all instances → rectangles on pages |
 //! | rasterise | `texels` | placed charts → [`Texel`]s with coverage |
+//! | finish | [`mod@finish`] with `canvas`, `seams` | values per texel → dilated, stitched images |
 //!
 //! [`build`] goes from the scene to the atlas; [`Layout::complete`] and [`assemble`] are its two halves, for
 //! callers that keep unwraps.
@@ -16,13 +17,16 @@ mod assemble;
 pub mod atlas;
 pub mod authored;
 mod blocks;
+mod canvas;
 pub mod charts;
+pub mod finish;
 pub mod layout;
 mod mesh;
 mod overlap;
 mod pack;
 mod place;
 mod planar;
+mod seams;
 mod segment;
 mod settings;
 mod shape;
@@ -34,6 +38,7 @@ mod xatlas;
 pub use assemble::{assemble, build};
 pub use atlas::{Atlas, Chart, Page, Placed, Texel};
 pub use charts::Charts;
+pub use finish::{FinishError, FinishReport, FinishSettings, Image, finish};
 pub use layout::{Layout, Source, Unwraps};
 pub use mesh::mesh_key;
 pub use settings::{AtlasError, AtlasReport, AtlasSettings, MAX_SIZE};

@@ -1,0 +1,128 @@
+//! A page while it is finished: which chart owns each texel, what it holds, and spreading values to neighbours.
+
+use glam::{DVec3, Vec3};
+
+/// Trust in a texel whose value was spread to it, against 1 for a whole computed one.
+pub(crate) const SPREAD_TRUST: f32 = 0.05;
+
+#[derive(Clone, Debug)]
+pub(crate) struct Canvas {
+    pub width: u32,
+    pub height: u32,
+    /// Chart plus one; 0 for nobody's texels.
+    pub owner: Vec<u32>,
+    pub value: Vec<Vec3>,
+    /// How far the value may be trusted, 0 where there is none yet: the coverage of computed texels.
+    pub trust: Vec<f32>,
+}
+
+impl Canvas {
+    pub fn new(width: u32, height: u32) -> Self {
+        let n = width as usize * height as usize;
+        Self { width, height, owner: vec![0; n], value: vec![Vec3::ZERO; n], trust: vec![0.0; n] }
+    }
+
+    pub fn index(&self, x: u32, y: u32) -> usize {
+        y as usize * self.width as usize + x as usize
+    }
+
+    pub fn is_known(&self, at: usize) -> bool {
+        self.trust[at] > 0.0
+    }
+
+    /// The up to eight neighbours of a texel with their weights: 1 beside, ½ at the corner.
+    fn neighbours(&self, at: usize) -> impl Iterator<Item = (usize, f64)> + use<> {
+        let (w, h) = (self.width as usize, self.height as usize);
+        let (x, y) = (at % w, at / w);
+        (0..9).filter(|k| *k != 4).filter_map(move |k| {
+            let (nx, ny) = ((x + k % 3).checked_sub(1)?, (y + k / 3).checked_sub(1)?);
+            let weight = if k % 2 == 1 { 1.0 } else { 0.5 };
+            (nx < w && ny < h).then_some((ny * w + nx, weight))
+        })
+    }
+
+    /// Gives values to unknown texels of the candidates' charts from known neighbours of the same chart, ring by ring,
+    /// as far as they are connected.
+    pub fn fill(&mut self, candidates: Vec<usize>) {
+        self.spread(candidates, u32::MAX, |owner, near| owner == near);
+    }
+
+    /// Grows all charts by so many rings into nobody's texels; the new texels are owned by the chart that they
+    /// continue. Returns them.
+    pub fn dilate(&mut self, rings: u32) -> Vec<usize> {
+        let mut rim = Vec::new();
+        for at in 0..self.owner.len() {
+            if self.is_known(at) {
+                rim.extend(self.neighbours(at).map(|n| n.0).filter(|&n| self.owner[n] == 0));
+            }
+        }
+        self.spread(rim, rings, |owner, _| owner == 0)
+    }
+
+    /// Texels for which `may(owner, owner of a known neighbour)` holds take the neighbours' weighted mean.
+    fn spread(&mut self, mut candidates: Vec<usize>, rings: u32, may: impl Fn(u32, u32) -> bool) -> Vec<usize> {
+        let mut changed = Vec::new();
+        for _ in 0..rings {
+            candidates.sort_unstable();
+            candidates.dedup();
+            let ring: Vec<(usize, u32, Vec3)> =
+                candidates.iter().filter_map(|&at| self.continued(at, &may).map(|(o, v)| (at, o, v))).collect();
+            if ring.is_empty() {
+                break;
+            }
+            candidates.clear();
+            for &(at, owner, value) in &ring {
+                self.owner[at] = owner;
+                self.value[at] = value;
+                self.trust[at] = SPREAD_TRUST;
+            }
+            for &(at, owner, _) in &ring {
+                let open = |n: &usize| !self.is_known(*n) && may(self.owner[*n], owner);
+                candidates.extend(self.neighbours(at).map(|n| n.0).filter(open));
+                changed.push(at);
+            }
+        }
+        changed
+    }
+
+    /// Owner and value that an unknown texel would take: of the lowest chart around it, the weighted mean.
+    fn continued(&self, at: usize, may: &impl Fn(u32, u32) -> bool) -> Option<(u32, Vec3)> {
+        if self.is_known(at) {
+            return None;
+        }
+        let near = |n: &(usize, f64)| self.is_known(n.0) && may(self.owner[at], self.owner[n.0]);
+        let owner = self.neighbours(at).filter(near).map(|(n, _)| self.owner[n]).min()?;
+        let (mut sum, mut total) = (DVec3::ZERO, 0.0);
+        for (n, weight) in self.neighbours(at).filter(near).filter(|(n, _)| self.owner[*n] == owner) {
+            sum += weight * self.value[n].as_dvec3();
+            total += weight;
+        }
+        Some((owner, (sum / total).as_vec3()))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn dilation_keeps_constants_and_stops_at_the_ring() {
+        let mut canvas = Canvas::new(9, 9);
+        let at = canvas.index(4, 4);
+        (canvas.owner[at], canvas.value[at], canvas.trust[at]) = (7, Vec3::splat(0.1), 1.0);
+        let grown = canvas.dilate(2);
+        assert_eq!(grown.len(), 24);
+        assert!(grown.iter().all(|&n| canvas.value[n] == Vec3::splat(0.1) && canvas.owner[n] == 7));
+        assert_eq!(canvas.owner.iter().filter(|&&o| o == 0).count(), 81 - 25);
+    }
+
+    #[test]
+    fn filling_stays_within_the_chart() {
+        let mut canvas = Canvas::new(4, 1);
+        canvas.owner = vec![1, 1, 2, 2];
+        canvas.value = vec![Vec3::ONE, Vec3::ZERO, Vec3::ZERO, Vec3::splat(5.0)];
+        canvas.trust = vec![1.0, 0.0, 0.0, 1.0];
+        canvas.fill(vec![1, 2]);
+        assert_eq!(canvas.value, [Vec3::ONE, Vec3::ONE, Vec3::splat(5.0), Vec3::splat(5.0)]);
+    }
+}
