@@ -23,6 +23,8 @@ pub mod lights;
 pub mod rays;
 pub mod reference;
 pub mod sampling;
+pub mod shoot;
+pub mod sky_light;
 pub mod solve;
 pub mod surfel;
 pub mod sweep;

@@ -1,0 +1,82 @@
+//! Direct light at surfels without noise.
+//!
+//! A surfel's own point on a real triangle is used, never its centroid, which lies under curved surfaces and would
+//! be shadowed by them. Where the surfel is a good part of a flat triangle, four more points of the same triangle
+//! and voxel spread the estimate over its area.
+
+use glam::Vec3;
+use luxel_scene::{Cancelled, Progress};
+
+use super::Shot;
+use crate::{
+    Rgb,
+    gather::{Gather, Receiver},
+    geometry::Geometry,
+    sampling::{basis, combine},
+    surfel::{Grid, Surfel, Surfels},
+};
+
+/// Receivers gathered at a time, so that memory stays small beside the surfels.
+const BATCH: usize = 1 << 16;
+
+/// Direct irradiance of every surfel by `light`, as the mean over up to `points` (1 or 5) points of each.
+pub fn exact(
+    geometry: &Geometry,
+    surfels: &Surfels,
+    light: &dyn Gather,
+    points: u32,
+    progress: &dyn Progress,
+) -> Result<Shot, Cancelled> {
+    let mut shot = Shot { irradiance: Vec::with_capacity(surfels.list.len()), ..Shot::default() };
+    for batch in surfels.list.chunks(BATCH) {
+        let mut receivers = Vec::with_capacity(batch.len());
+        let mut ends = Vec::with_capacity(batch.len());
+        for surfel in batch {
+            push_receivers(geometry, &surfels.grid, surfel, points, &mut receivers);
+            ends.push(receivers.len());
+        }
+        let gathered = light.gather(&receivers, progress)?;
+        let mut start = 0;
+        for end in ends {
+            let own = &gathered[start..end];
+            let sum: Rgb = own.iter().map(|g| g.irradiance).sum();
+            shot.irradiance.push(sum / (end - start).max(1) as f32);
+            shot.rays += own.iter().map(|g| u64::from(g.rays)).sum::<u64>();
+            start = end;
+        }
+    }
+    Ok(shot)
+}
+
+/// The surfel's own point, and its neighbours where they lie on the same triangle and in the same voxel.
+fn push_receivers(geometry: &Geometry, grid: &Grid, surfel: &Surfel, points: u32, out: &mut Vec<Receiver>) {
+    let triangle = &geometry.triangles[surfel.triangle as usize];
+    let normal = if surfel.back { -triangle.normal } else { triangle.normal };
+    let at = |position: Vec3, i: u64| Receiver {
+        position,
+        normal,
+        shading_normal: normal,
+        footprint: surfel.area.sqrt(),
+        seed: combine(combine(u64::from(surfel.triangle), u64::from(surfel.u.to_bits())), i),
+    };
+    let center = triangle.at(surfel.u, surfel.v);
+    out.push(at(center, 0));
+    if points < 2 {
+        return;
+    }
+    let axes = basis(normal);
+    let step = 0.3 * grid.edge;
+    for (i, (x, y)) in [(1.0, 0.4), (-0.4, 1.0), (-1.0, -0.4), (0.4, -1.0)].into_iter().enumerate() {
+        let p = center + (axes.x_axis * x + axes.y_axis * y) * step;
+        let voxel = ((p - grid.origin) / grid.edge).floor().as_ivec3();
+        if voxel == surfel.voxel && contains(triangle.corners, p) {
+            out.push(at(p, i as u64 + 1));
+        }
+    }
+}
+
+/// A point of the triangle's plane lies within the triangle.
+fn contains([a, b, c]: [Vec3; 3], p: Vec3) -> bool {
+    let n = (b - a).cross(c - a);
+    [(a, b), (b, c), (c, a)].iter().all(|&(x, y)| n.dot((y - x).cross(p - x)) >= 0.0)
+}

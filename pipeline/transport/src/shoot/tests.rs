@@ -1,0 +1,203 @@
+use std::f64::consts::PI;
+
+use glam::{IVec3, Vec3};
+use luxel_scene::{LightKind, Material, Scene, Silent, build::Builder};
+
+use super::*;
+use crate::{
+    direct::{Direct, DirectSettings},
+    geometry::Geometry,
+    lights::Emitters,
+    rays::Rays,
+    surfel::{Grid, Surfel, Surfels},
+};
+
+/// A floor of 4 × 4 at y = 0 with its front up, which makes the frame: 1024 units per scene unit.
+fn ground() -> Builder {
+    let mut b = Builder::new("ground");
+    let grey = b.matte(Vec3::splat(0.5));
+    b.quad("floor", Vec3::new(-2.0, 0.0, 2.0), Vec3::X * 4.0, Vec3::NEG_Z * 4.0, grey);
+    b
+}
+
+/// Square surfels over the floor, `n` along each side, one voxel each.
+fn tiled(geometry: &Geometry, n: i32) -> Surfels {
+    let corner = geometry.frame.point(DVec3::new(-2.0, 0.0, -2.0));
+    let edge = geometry.frame.length(4.0) / n as f32;
+    let grid = Grid { origin: corner - Vec3::Y * 0.5 * edge, edge, size: IVec3::new(n, 1, n) };
+    let mut list = Vec::new();
+    for x in 0..n {
+        for z in 0..n {
+            let centroid = corner + Vec3::new(x as f32 + 0.5, 0.0, z as f32 + 0.5) * edge;
+            // Corners of the quad: o, o + a, o + a + b (first triangle); o, o + a + b, o + b (second).
+            let (s, t) = ((x as f32 + 0.5) / n as f32, 1.0 - (z as f32 + 0.5) / n as f32);
+            let (triangle, u, v) = if s >= t { (0, s - t, t) } else { (1, s, t - s) };
+            list.push(Surfel {
+                voxel: IVec3::new(x, 0, z),
+                centroid,
+                normal: Vec3::Y,
+                area: edge * edge,
+                albedo: Vec3::splat(0.5),
+                emission: Vec3::ZERO,
+                fill: 1.0,
+                triangle,
+                u,
+                v,
+                back: false,
+            });
+        }
+    }
+    Surfels { grid, list }
+}
+
+/// Photons and exact values of a scene on `n × n` surfels.
+fn run(scene: &Scene, n: i32, settings: PhotonSettings) -> (Shot, Shot, Surfels, DVec3) {
+    let geometry = Geometry::new(scene);
+    let rays = Rays::new(&geometry);
+    let emitters = Emitters::new(&geometry);
+    let surfels = tiled(&geometry, n);
+    let direct = Direct::new(&rays, &emitters, DirectSettings::default());
+    let exact = exact(&geometry, &surfels, &direct, 5, &Silent).unwrap();
+    let photons = photons(&rays, &emitters, &surfels, settings, &Silent).unwrap();
+    (photons, exact, surfels, emitters.power())
+}
+
+/// Means over 4 × 4 blocks of 32 × 32 values.
+fn coarse(fine: &[Rgb]) -> Vec<Rgb> {
+    let block = |x: usize, z: usize| (0..16).map(|i| fine[(4 * x + i / 4) * 32 + 4 * z + i % 4]).sum::<Rgb>() / 16.0;
+    (0..64).map(|i| block(i / 8, i % 8)).collect()
+}
+
+fn lit(kind: LightKind, intensity: f32) -> Scene {
+    let mut b = ground();
+    b.light("lamp", kind, Vec3::new(1.0, 2.0, 0.0) * intensity);
+    b.build()
+}
+
+fn scenes() -> Vec<(&'static str, Scene)> {
+    let position = DVec3::new(0.3, 1.0, -0.2);
+    let (range, radius) = (Some(3.0), 0.05);
+    let point = LightKind::Point { position, range: None, radius: 0.0 };
+    let direction = DVec3::new(0.2, -1.0, 0.1).normalize();
+    let spot = LightKind::Spot { position, direction, inner: 0.3, outer: 0.7, range, radius };
+    let sun = LightKind::Sun { direction, angle: 0.02 };
+    let mut panel = ground();
+    let shiny = panel.emitter(Vec3::ZERO, Vec3::new(3.0, 1.0, 2.0));
+    panel.quad("panel", Vec3::new(-0.5, 1.0, -0.5), Vec3::X, Vec3::Z, shiny);
+    let mut sheet = ground();
+    let emission = Vec3::ONE;
+    let glowing = sheet.material(Material { emission, double_sided: true, ..Material::default() });
+    sheet.quad("sheet", Vec3::new(-0.5, 1.0, -0.5), Vec3::X, Vec3::Z, glowing);
+    vec![
+        ("point", lit(point, 10.0)),
+        ("spot", lit(spot, 10.0)),
+        ("sun", lit(sun, 2.0)),
+        ("panel", panel.build()),
+        ("sheet", sheet.build()),
+    ]
+}
+
+#[test]
+fn photons_bring_the_energy_of_the_lights_and_the_exact_irradiance() {
+    let settings = PhotonSettings { primary: 2000, directions: 64 };
+    for (name, scene) in scenes() {
+        let (photons, _, surfels, power) = run(&scene, 8, settings);
+        // The mean over sixteen times finer surfels is the exact value over the area of one.
+        let exact = coarse(&run(&scene, 32, PhotonSettings { primary: 1, directions: 1 }).1.irradiance);
+        let flux = photons.ledger;
+        if name != "sun" {
+            let relative = (flux.emitted - power).abs().max_element() / power.max_element();
+            // The spot's falloff is sampled; all else carries its power exactly.
+            assert!(relative < if name == "spot" { 0.01 } else { 1e-5 }, "{name}: {flux:?} {power}");
+        }
+        assert!(flux.imbalance().abs().max_element() < 1e-9 * flux.emitted.max_element(), "{name}: {flux:?}");
+        assert_eq!(flux.lost, DVec3::ZERO, "{name}");
+        assert_eq!(photons.rays, photons.primary_photons * 64, "{name}");
+        // Poisson statistics of independent photons bound the error of stratified ones.
+        let count = photons.direct_photons as f64 / surfels.list.len() as f64;
+        let mean = photons.irradiance.iter().map(|e| f64::from(e.x)).sum::<f64>() / surfels.list.len() as f64;
+        for (i, (p, e)) in photons.irradiance.iter().zip(&exact).enumerate() {
+            let expected = f64::from(e.x) / mean;
+            let sigma = (expected / count).sqrt();
+            let slack = 0.01 * expected + 0.01;
+            let error = (f64::from(p.x) / mean - expected).abs();
+            assert!(error < 3.0 * sigma + slack, "{name} {i}: {p} {e}");
+            assert!(p.is_finite() && p.min_element() >= 0.0);
+        }
+        let total = |e: &[Rgb]| e.iter().map(|e| f64::from(e.x)).sum::<f64>();
+        let (a, b) = (total(&photons.irradiance), total(&exact));
+        assert!((a - b).abs() < 0.01 * b, "{name}: {a} {b}");
+    }
+}
+
+#[test]
+fn under_a_lamp_the_irradiance_is_that_of_the_law() {
+    let kind = LightKind::Point { position: DVec3::new(0.0, 1.0, 0.0), range: None, radius: 0.0 };
+    let settings = PhotonSettings { primary: 4000, directions: 256 };
+    let (photons, exact, surfels, _) = run(&lit(kind, 10.0), 40, settings);
+    let at = |e: &[Rgb]| {
+        let near = surfels.list.iter().zip(e).filter(|(s, _)| (s.voxel.x - 20).abs() < 2 && (s.voxel.z - 20).abs() < 2);
+        let values: Vec<_> = near.map(|(_, e)| f64::from(e.x)).collect();
+        (values.iter().sum::<f64>() / values.len() as f64, values.len())
+    };
+    let (mean, n) = at(&photons.irradiance);
+    // 10 cd at one metre; solid angle of n surfels of 0.01 m² over 4π gives the number of photons.
+    let expected_photons = n as f64 * 0.01 / (4.0 * PI) * 4000.0 * 256.0;
+    let law = at(&exact.irradiance).0;
+    assert!((law - 10.0).abs() < 0.3, "{law}");
+    assert!((mean - law).abs() < 3.0 * law / expected_photons.sqrt() + 0.002 * law, "{mean} {law}");
+}
+
+#[test]
+fn backs_absorb_and_walls_shadow() {
+    let mut b = ground();
+    let grey = b.matte(Vec3::ONE);
+    let shiny = b.emitter(Vec3::ZERO, Vec3::ONE);
+    b.quad("panel", Vec3::new(-0.5, 1.0, -0.5), Vec3::X, Vec3::Z, shiny);
+    // Between panel and floor, front down: photons meet its back.
+    b.quad("board", Vec3::new(-2.0, 0.5, -2.0), Vec3::X * 4.0, Vec3::Z * 4.0, grey);
+    let (photons, exact, _, power) = run(&b.build(), 4, PhotonSettings { primary: 500, directions: 16 });
+    assert_eq!(photons.direct_photons, 0);
+    assert!(photons.ledger.absorbed.x > 0.8 * power.x);
+    assert!(exact.irradiance.iter().all(|e| *e == Rgb::ZERO), "{:?}", exact.irradiance);
+}
+
+#[test]
+fn a_coloured_veil_passes_its_share_to_the_floor() {
+    let base_color = Vec3::new(1.0, 0.5, 0.0).extend(0.5);
+    let panel = |veiled: bool| {
+        let mut b = ground();
+        let shiny = b.emitter(Vec3::ZERO, Vec3::ONE);
+        b.quad("panel", Vec3::new(-0.5, 1.0, -0.5), Vec3::X, Vec3::Z, shiny);
+        if veiled {
+            let veil = b.material(Material { base_color, alpha: luxel_scene::Alpha::Blend, ..Material::default() });
+            b.quad("veil", Vec3::new(-2.0, 0.5, -2.0), Vec3::X * 4.0, Vec3::Z * 4.0, veil);
+        }
+        run(&b.build(), 4, PhotonSettings { primary: 1000, directions: 16 })
+    };
+    let ((veiled, exact, ..), (open, ..)) = (panel(true), panel(false));
+    let tint = 0.5 * Vec3::ONE.lerp(base_color.truncate(), 0.5);
+    let total = |e: &[Rgb]| e.iter().sum::<Rgb>();
+    let expected = total(&open.irradiance) * tint;
+    // Light that leaves sideways between veil and floor is the same with and without it.
+    assert!((total(&veiled.irradiance) - expected).abs().max_element() < 0.03 * expected.x);
+    assert!((total(&exact.irradiance) - expected).abs().max_element() < 0.03 * expected.x);
+    assert!(veiled.ledger.imbalance().abs().max_element() < 1e-9);
+}
+
+#[test]
+fn thread_counts_do_not_change_a_bit_and_no_light_gives_nothing() {
+    let (_, scene) = scenes().swap_remove(1);
+    let settings = PhotonSettings { primary: 3000, directions: 8 };
+    let run_with = |threads| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| run(&scene, 16, settings).0)
+    };
+    let one = run_with(1);
+    for threads in [2, 7] {
+        let other = run_with(threads);
+        assert!(one.irradiance == other.irradiance && one.ledger == other.ledger);
+    }
+    let dark = run(&ground().build(), 4, settings).0;
+    assert_eq!((dark.rays, dark.irradiance), (0, vec![Rgb::ZERO; 16]));
+}
