@@ -20,6 +20,7 @@ pub mod gather;
 pub mod geometry;
 pub mod ledger;
 pub mod lights;
+pub mod lighttree;
 pub mod octree;
 pub mod rays;
 pub mod reference;

@@ -1,4 +1,31 @@
 //! Light at a point: the one interface of every way to gather it.
+//!
+//! | mode | module | indirect light at a receiver | error |
+//! |---|---|---|---|
+//! | lightcuts | [`lightcuts`] | clusters of surfels with shadow rays, near field by rays | stated bound |
+//! | final gather | [`final_gather`] | cosine rays that look up the cache where they hit | noise, falls with rays |
+//! | look-up | [`lookup`] | the cache itself, interpolated | that of the voxels |
+//!
+//! All read one [`field::Field`]: rays, surfels and the irradiance at them. [`refresh`] feeds a final gather at the
+//! surfels back into the cache.
+//!
+//! Indirect light here is what surfaces reflect. Lightcuts and final gather leave out the sky as seen from the receiver
+//! itself (a ray that escapes brings nothing); the look-up reads a cache that already contains it.
+
+pub mod field;
+pub mod final_gather;
+mod hemisphere;
+pub mod lightcuts;
+pub mod lookup;
+pub mod refresh;
+mod run;
+pub mod surfel_index;
+
+pub use field::{Field, FieldError};
+pub use final_gather::FinalGather;
+pub use lightcuts::Lightcuts;
+pub use lookup::Lookup;
+pub use refresh::refresh;
 
 use glam::Vec3;
 use luxel_scene::{Cancelled, Progress};
@@ -55,6 +82,7 @@ pub struct Gathered {
 /// A way to gather light at receivers. Implementations are pure: the same receiver gives the same bits, in any
 /// order, on any thread.
 pub trait Gather: Sync {
-    /// Irradiance at every receiver, in their order.
+    /// Irradiance at every receiver, in their order. Reports one unit of progress per receiver of a stage that the
+    /// caller has begun.
     fn gather(&self, receivers: &[Receiver], progress: &dyn Progress) -> Result<Vec<Gathered>, Cancelled>;
 }

@@ -1,0 +1,334 @@
+//! Finding a cut: start at the roots, refine where the bound is largest.
+//!
+//! Clusters that the near rays' estimate of the total already shows to be too coarse are refined without a look at
+//! them; only then are representatives evaluated and the cut is refined by its own running total. That saves the shadow
+//! rays of all clusters near the root.
+
+use std::{cmp::Ordering, collections::BinaryHeap};
+
+use glam::{DVec3, Vec3};
+
+use super::Settings;
+use crate::{
+    Rgb,
+    lighttree::{Cluster, LightTree, Node, Vantage},
+    rays::Rays,
+};
+
+/// A tree as one receiver sees it.
+pub(super) struct Source<'a> {
+    pub tree: &'a LightTree,
+    pub vantage: Vantage,
+    /// B̄, the radiosity that is accounted for elsewhere.
+    pub control: Rgb,
+}
+
+/// An inner node in the cut.
+#[derive(Clone, Copy)]
+struct Member {
+    bound: f32,
+    source: u8,
+    node: u32,
+    /// K·V of its representative.
+    weight: Rgb,
+}
+
+impl Ord for Member {
+    fn cmp(&self, other: &Self) -> Ordering {
+        // Equal bounds are told apart by the tree's order, so that a heap's own order never decides.
+        self.bound.total_cmp(&other.bound).then((other.source, other.node).cmp(&(self.source, self.node)))
+    }
+}
+
+impl PartialOrd for Member {
+    fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
+        Some(self.cmp(other))
+    }
+}
+
+impl PartialEq for Member {
+    fn eq(&self, other: &Self) -> bool {
+        self.cmp(other) == Ordering::Equal
+    }
+}
+
+impl Eq for Member {}
+
+/// The cut, with memory that is used again for the next receiver.
+#[derive(Default)]
+pub(super) struct Cut {
+    heap: BinaryHeap<Member>,
+    /// Single lights in the cut that are not evaluated yet.
+    lights: Vec<(u8, u32)>,
+}
+
+pub(super) struct Found {
+    pub sum: DVec3,
+    /// Sum of the bounds of all clusters left.
+    pub bound: f32,
+    pub clusters: u32,
+    pub rays: u32,
+}
+
+/// Everything that one search needs.
+struct Search<'a> {
+    sources: &'a [Source<'a>],
+    tracer: &'a Rays<'a>,
+    origin: Vec3,
+    total: DVec3,
+    rays: u32,
+    /// Single lights that are in the total.
+    lights: u32,
+}
+
+impl Cut {
+    /// Refines until every bound is below the threshold times the total, which starts with `offset`; `expected` is
+    /// what the total is thought to become.
+    pub fn find(
+        &mut self,
+        sources: &[Source],
+        tracer: &Rays,
+        origin: Vec3,
+        offset: Rgb,
+        expected: Rgb,
+        settings: &Settings,
+    ) -> Found {
+        self.heap.clear();
+        self.lights.clear();
+        let mut search = Search { sources, tracer, origin, total: offset.as_dvec3(), rays: 0, lights: 0 };
+        for (source, Source { tree, .. }) in (0..).zip(sources) {
+            if let Some(root) = tree.root() {
+                self.push(&search, source, root);
+            }
+        }
+        self.descend(&search, settings, mean(expected.as_dvec3()));
+        self.evaluate(&mut search);
+        self.refine(&mut search, settings);
+        let bound: f64 = self.heap.iter().map(|m| f64::from(m.bound)).sum();
+        let clusters = search.lights + self.heap.len() as u32;
+        Found { sum: search.total, bound: bound as f32, clusters, rays: search.rays }
+    }
+
+    /// Adds a cluster that is not evaluated; one that can contribute nothing is dropped.
+    fn push(&mut self, search: &Search, source: u8, cluster: Cluster) {
+        match cluster {
+            Cluster::Light(light) => self.lights.push((source, light)),
+            Cluster::Node(node) => {
+                let bound = search.bound(source, node);
+                if bound > 0.0 {
+                    self.heap.push(Member { bound, source, node, weight: Rgb::ZERO });
+                }
+            }
+        }
+    }
+
+    /// Refines what is too coarse for the expected total, without evaluating anything. Half of the limit is left for
+    /// refining by the true total.
+    fn descend(&mut self, search: &Search, settings: &Settings, expected: f64) {
+        if expected <= 0.0 {
+            return;
+        }
+        let target = f64::from(settings.threshold) * expected;
+        while self.heap.len() + self.lights.len() < settings.limit as usize / 2 {
+            match self.heap.peek() {
+                Some(top) if f64::from(top.bound) > target => {}
+                _ => return,
+            }
+            let Some(top) = self.heap.pop() else { return };
+            for child in search.sources[usize::from(top.source)].tree.children(top.node) {
+                self.push(search, top.source, child);
+            }
+        }
+    }
+
+    /// Evaluates the representative of everything in the cut.
+    fn evaluate(&mut self, search: &mut Search) {
+        for &(source, light) in &self.lights {
+            search.add_light(source, light, None);
+        }
+        let mut members = std::mem::take(&mut self.heap).into_vec();
+        // In the tree's order, so that the sum does not depend on how the heap is laid out.
+        members.sort_unstable_by_key(|m| (m.source, m.node));
+        for member in &mut members {
+            let tree = search.sources[usize::from(member.source)].tree;
+            let representative = tree.nodes[member.node as usize].representative;
+            member.weight = search.weight(member.source, representative);
+            search.total += search.contribution(member);
+        }
+        self.heap = members.into();
+    }
+
+    /// Refines by the running total.
+    fn refine(&mut self, search: &mut Search, settings: &Settings) {
+        while search.lights as usize + self.heap.len() < settings.limit as usize {
+            let target = f64::from(settings.threshold) * mean(search.total).max(0.0);
+            match self.heap.peek() {
+                Some(top) if f64::from(top.bound) > target => {}
+                _ => return,
+            }
+            let Some(top) = self.heap.pop() else { return };
+            search.total -= search.contribution(&top);
+            let tree = search.sources[usize::from(top.source)].tree;
+            let known = tree.nodes[top.node as usize].representative;
+            for child in tree.children(top.node) {
+                match child {
+                    Cluster::Light(light) => {
+                        search.add_light(top.source, light, (light == known).then_some(top.weight));
+                    }
+                    Cluster::Node(node) => {
+                        let bound = search.bound(top.source, node);
+                        if bound <= 0.0 {
+                            continue;
+                        }
+                        let light = tree.nodes[node as usize].representative;
+                        let weight = if light == known { top.weight } else { search.weight(top.source, light) };
+                        let member = Member { bound, source: top.source, node, weight };
+                        search.total += search.contribution(&member);
+                        self.heap.push(member);
+                    }
+                }
+            }
+        }
+    }
+}
+
+impl Search<'_> {
+    /// Largest error that a node can bring, in any band.
+    fn bound(&self, source: u8, node: u32) -> f32 {
+        let source = &self.sources[usize::from(source)];
+        let node = &source.tree.nodes[node as usize];
+        let power = deviation(node, source.control);
+        if power > 0.0 { power * source.vantage.bound(node) } else { 0.0 }
+    }
+
+    /// K·V of a light.
+    fn weight(&mut self, source: u8, light: u32) -> Rgb {
+        let source = &self.sources[usize::from(source)];
+        let light = &source.tree.lights[light as usize];
+        let kernel = source.vantage.kernel(light);
+        if kernel <= 0.0 {
+            return Rgb::ZERO;
+        }
+        let d = light.target - self.origin;
+        let distance = d.length();
+        if distance <= 0.0 {
+            return Rgb::splat(kernel);
+        }
+        self.rays += 1;
+        self.tracer.transmittance(self.origin, d / distance, distance) * kernel
+    }
+
+    /// Adds a single light; `known` is its K·V where it stood for its parent.
+    fn add_light(&mut self, source: u8, light: u32, known: Option<Rgb>) {
+        let sources = self.sources;
+        let Source { tree, control, .. } = &sources[usize::from(source)];
+        let l = &tree.lights[light as usize];
+        let power = l.intensity - *control * l.area;
+        self.lights += 1;
+        if power != Rgb::ZERO {
+            let weight = known.unwrap_or_else(|| self.weight(source, light));
+            self.total += (power * weight).as_dvec3();
+        }
+    }
+
+    fn contribution(&self, member: &Member) -> DVec3 {
+        let Source { tree, control, .. } = &self.sources[usize::from(member.source)];
+        let node = &tree.nodes[member.node as usize];
+        (stand_in(node, *control) * member.weight).as_dvec3()
+    }
+}
+
+/// What the representative's K·V is multiplied by.
+fn stand_in(node: &Node, control: Rgb) -> Rgb {
+    node.stand_in - control * node.stand_in_area
+}
+
+/// Largest error of a node, in any band, for a kernel of 1: how far the estimate, between 0 and the stand-in, can be
+/// from the truth, between −M and P.
+fn deviation(node: &Node, control: Rgb) -> f32 {
+    let estimate = stand_in(node, control);
+    let (above, below) = parts(node, control);
+    (above - estimate.min(Rgb::ZERO)).max(below + estimate.max(Rgb::ZERO)).max_element()
+}
+
+/// Upper bounds of P and M, the sums of the positive and negative parts of (Bⱼ − B̄)·Aⱼ/π over a node's lights.
+fn parts(node: &Node, control: Rgb) -> (Rgb, Rgb) {
+    if node.area <= 0.0 {
+        return (node.intensity, Rgb::ZERO);
+    }
+    let (low, high) = (node.low, node.high);
+    let mean = (node.intensity / node.area).clamp(low, high);
+    let inside = control.clamp(low, high);
+    let width = high - low;
+    // Where all lights are equal there is no chord and nothing to hide.
+    let chord = Rgb::select(width.cmpgt(Rgb::ZERO), (mean - low) * (high - inside) / width, Rgb::ZERO);
+    let above = chord + (low - control).max(Rgb::ZERO);
+    let below = (above - (mean - control)).max(Rgb::ZERO);
+    (above * node.area, below * node.area)
+}
+
+fn mean(rgb: DVec3) -> f64 {
+    rgb.element_sum() / 3.0
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{
+        lighttree::{Light, Seeded},
+        sampling::{mix, unit},
+    };
+    use proptest::prelude::*;
+
+    fn light(i: usize, radiosity: Rgb, area: f32) -> Seeded {
+        let position = Vec3::splat(unit(mix(i as u64)));
+        let light = Light { position, normal: Vec3::Z, target: position, intensity: radiosity * area, area };
+        Seeded { light, seed: i as u64 }
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(1000))]
+
+        /// The promise: whatever kernel and visibility each light has, up to 1, the estimate is no further from the
+        /// truth than the bound.
+        #[test]
+        fn no_estimate_is_further_off_than_its_bound(
+            patches in prop::collection::vec((0.0f32..4.0, 0.01f32..2.0, any::<bool>(), 0.0f32..1.0), 2..12),
+            control in prop_oneof![Just(0.0f32), 0.0f32..5.0],
+            ambient in prop_oneof![Just(0.0f32), 0.1f32..3.0],
+        ) {
+            // Without an ambient part the tree is one for plain cuts.
+            let control = if ambient > 0.0 { Rgb::new(control, 1.0, 0.0) } else { Rgb::ZERO };
+            let lights = patches.iter().enumerate().map(|(i, p)| light(i, Rgb::new(p.0, 0.5 * p.0, 4.0 - p.0), p.1));
+            let tree = LightTree::new(lights.collect(), ambient);
+            let kernel = |l: &Light| {
+                let i = (0..patches.len()).find(|&i| unit(mix(i as u64)) == l.position.x).unwrap();
+                if patches[i].2 { 1.0 } else { patches[i].3 }
+            };
+            let truth: Rgb = tree.lights.iter().map(|l| (l.intensity - control * l.area) * kernel(l)).sum();
+            let root = &tree.nodes[0];
+            let estimate = stand_in(root, control) * kernel(&tree.lights[root.representative as usize]);
+            let (off, bound) = ((estimate - truth).abs().max_element(), deviation(root, control));
+            prop_assert!(off <= bound * (1.0 + 1e-4) + 1e-4, "{off} above {bound}");
+        }
+    }
+
+    #[test]
+    fn two_equal_groups_hide_exactly_what_the_chord_says() {
+        let b = [1.0, 1.0, 3.0, 3.0];
+        let lights = (0..4).map(|i| light(i, Rgb::splat(b[i]), 1.0)).collect();
+        let tree = LightTree::new(lights, 0.0);
+        let root = &tree.nodes[0];
+        assert_eq!(parts(root, Rgb::splat(2.0)), (Rgb::splat(2.0), Rgb::splat(2.0)));
+        assert_eq!(parts(root, Rgb::ZERO), (Rgb::splat(8.0), Rgb::ZERO));
+        assert_eq!(parts(root, Rgb::splat(5.0)), (Rgb::ZERO, Rgb::splat(12.0)));
+        // A plain cut: the estimate lies between nothing and everything, and so does the truth.
+        assert_eq!(deviation(root, Rgb::ZERO), 8.0);
+    }
+
+    #[test]
+    fn lights_that_are_all_alike_hide_nothing_behind_their_own_radiosity() {
+        let tree = LightTree::new((0..9).map(|i| light(i, Rgb::splat(0.7), 0.5)).collect(), 0.7);
+        assert!(deviation(&tree.nodes[0], Rgb::splat(0.7)) < 1e-5);
+    }
+}

@@ -1,0 +1,245 @@
+//! Lightcuts: irradiance at a receiver from few clusters of many lights (Walter et al. 2005; paper §4.2).
+//!
+//! ```text
+//! E = Σ_C S_C·K(r_C)·V(r_C)  +  (1/N) Σᵢ (Bᵢ − B̄)·wᵢ  +  B̄·F
+//!     clusters of the cut       near field                  constant part
+//!
+//! S_C = Σ_{j∈C} (Bⱼ − B̄)·Aⱼ/π     r_C  representative light, V transmittance of its shadow ray
+//! K = min(G, b), b = 1/(3h)²       wᵢ = max(0, 1 − b/Gᵢ) at the hits of N cosine rays (Kollig & Keller 2004)
+//! ```
+//!
+//! B̄, the median radiosity that the near rays see, is a control variate (the median makes Σ|Bⱼ − B̄| smallest). In a closed scene the share F of the hemisphere
+//! that surfels cover is known in closed form ((1 + cos γ)/2 for a shading normal bent by γ, else 1), so only deviations
+//! from B̄ go through clusters, and a constant field comes out exactly, whatever the cut. Any B̄ gives the same
+//! expectation; one that fits makes the bounds small. In a scene that lit surfels can see out of, or for a receiver
+//! with a ray that meets a veil or a side without surfels, B̄ = 0: the plain cut.
+//! Representatives stand for S_C without bias (see [`crate::lighttree`]); taking the exact S_C with a
+//! representative chosen by intensity alone was 2 to 5 % too dark, because bright lights are nearer than dark ones.
+//!
+//! **Bound.** With P and M the sums of the positive and negative parts of (Bⱼ − B̄)·Aⱼ/π, the truth of a cluster lies
+//! between −M·K⁺ and P·K⁺, its estimate between 0 and S_C·K⁺. P is bounded by the chord between the cluster's least and
+//! largest B (convexity: P is largest when all B lie at the ends). The cut is refined until every
+//! cluster's bound is below the threshold times the running total; [`Gathered::bound`] is the *sum* over the cut, a
+//! certainty about clustering, and many times the typical error. It covers neither the near rays' noise nor that
+//! surfels are patches, not points.
+
+mod cut;
+
+use glam::Vec3;
+use luxel_scene::{Cancelled, Progress};
+
+use self::cut::{Cut, Source};
+use super::{Field, Gather, Gathered, Receiver, hemisphere::Hemisphere, refresh::surfel_receiver, run};
+use crate::{
+    Rgb,
+    lighttree::{LightTree, Vantage, emitter_samples},
+    rays::OFFSET,
+};
+
+/// Kernel bound in patch sizes: nearer than three voxels a surfel is no point light.
+const NEAR: f32 = 3.0;
+
+/// Most near rays that the median is taken of.
+const MOST_SEEN: usize = 64;
+
+/// Rays of the test whether the lit part of a scene is closed: surfels asked, and rays of each.
+const PROBES: (usize, u32) = (1024, 8);
+
+/// How far a cut is refined.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Settings {
+    /// Largest bound of a cluster, as a share of the total.
+    pub threshold: f32,
+    /// Most clusters in a cut.
+    pub limit: u32,
+    /// Cosine rays for the near field. They matter beside bright walls: where one wall of a room holds all the light,
+    /// 16, 32 and 64 leave 2.3, 1.8 and 1.7 % of error in all, elsewhere 16 are as good as 64.
+    pub near_rays: u32,
+    /// Gather light that surfaces reflect.
+    pub indirect: bool,
+    /// About how many samples of emissive surfaces to gather light from; 0 leaves direct light to others.
+    pub emitter_samples: usize,
+}
+
+impl Default for Settings {
+    fn default() -> Self {
+        Self { threshold: 0.02, limit: 1000, near_rays: 32, indirect: true, emitter_samples: 0 }
+    }
+}
+
+/// Gathers by lightcuts.
+pub struct Lightcuts<'a> {
+    field: &'a Field<'a>,
+    settings: Settings,
+    indirect: LightTree,
+    direct: LightTree,
+    /// Bounds b of both trees' kernels.
+    caps: [f32; 2],
+    hemisphere: Hemisphere,
+    closed: bool,
+}
+
+/// Memory that is used again for the next receiver.
+#[derive(Default)]
+struct Scratch {
+    cut: Cut,
+    /// Radiosity that each near ray saw.
+    seen: Vec<Rgb>,
+}
+
+/// What the near rays saw, as means over all of them.
+#[derive(Default)]
+struct Near {
+    /// Irradiance of the trees in use, as rays alone would have it.
+    irradiance: Rgb,
+    /// Σ B·w, Σ w and Σ πLₑ·w, divided by the number of rays.
+    reflected: Rgb,
+    weight: Rgb,
+    emitted: Rgb,
+    /// Every ray ended on a solid surface with a surfel.
+    covered: bool,
+    rays: u32,
+}
+
+impl<'a> Lightcuts<'a> {
+    pub fn new(field: &'a Field<'a>, settings: Settings) -> Self {
+        let geometry = field.rays.geometry;
+        let closed = is_closed(field);
+        let ambient = if closed { mean_radiosity(field) } else { 0.0 };
+        let indirect = if settings.indirect {
+            LightTree::indirect(geometry, field.surfels, field.solution, ambient)
+        } else {
+            LightTree::default()
+        };
+        let samples = emitter_samples(geometry, settings.emitter_samples);
+        let cap = |size: f32| 1.0 / (NEAR * size * (NEAR * size));
+        let caps = [cap(field.surfels.grid.edge), cap(samples.spacing.max(OFFSET))];
+        let direct =
+            if settings.emitter_samples > 0 { LightTree::new(samples.lights, 0.0) } else { LightTree::default() };
+        Self { field, settings, indirect, direct, caps, hemisphere: Hemisphere::new(settings.near_rays.max(1)), closed }
+    }
+
+    /// Rays from lit surfels never leave the scene.
+    pub fn closed(&self) -> bool {
+        self.closed
+    }
+
+    fn at(&self, Scratch { cut, seen }: &mut Scratch, receiver: &Receiver) -> Gathered {
+        if self.indirect.is_empty() && self.direct.is_empty() {
+            return Gathered::default();
+        }
+        let near = self.near(receiver, seen);
+        let control = if self.closed && near.covered && !self.indirect.is_empty() { median(seen) } else { Rgb::ZERO };
+        let visible = 0.5 * (1.0 + receiver.normal.dot(receiver.shading_normal).clamp(-1.0, 1.0));
+        let offset = near.reflected + near.emitted - control * near.weight + control * visible;
+        let sources = [(&self.indirect, self.caps[0]), (&self.direct, self.caps[1])].map(|(tree, cap)| Source {
+            tree,
+            vantage: Vantage::new(receiver, cap),
+            control,
+        });
+        let origin = receiver.position + receiver.normal * OFFSET;
+        let found = cut.find(&sources, self.field.rays, origin, offset, near.irradiance, &self.settings);
+        Gathered {
+            irradiance: (found.sum.as_vec3()).max(Rgb::ZERO),
+            bound: found.bound,
+            rays: near.rays + found.rays,
+            cut: found.clusters,
+        }
+    }
+
+    fn near(&self, receiver: &Receiver, seen: &mut Vec<Rgb>) -> Near {
+        seen.clear();
+        let origin = receiver.position + receiver.normal * OFFSET;
+        let mut near = Near { covered: true, ..Near::default() };
+        for direction in self.hemisphere.about(receiver.shading_normal, receiver.seed).directions() {
+            if receiver.normal.dot(direction) <= 0.0 {
+                continue;
+            }
+            seen.push(self.near_ray(&mut near, receiver.shading_normal.dot(direction), origin, direction));
+        }
+        let scale = 1.0 / self.hemisphere.len() as f32;
+        near.irradiance *= scale;
+        near.reflected *= scale;
+        near.weight *= scale;
+        near.emitted *= scale;
+        near
+    }
+
+    /// Adds one ray to the sums; `cosine` is its cosine at the receiver. Returns the radiosity that it saw.
+    fn near_ray(&self, near: &mut Near, cosine: f32, origin: Vec3, direction: Vec3) -> Rgb {
+        let (mut covered, mut seen) = (false, Rgb::ZERO);
+        let (_, rays) = self.field.walk(origin, direction, |e| {
+            let kernel = cosine * e.cosine / (e.distance * e.distance);
+            let [w, w_direct] = self.caps.map(|cap| (1.0 - cap / kernel).max(0.0));
+            covered = e.known && e.share == Rgb::ONE;
+            if !self.indirect.is_empty() {
+                let radiosity = e.share * e.radiosity;
+                seen += radiosity;
+                near.irradiance += radiosity;
+                near.reflected += radiosity * w;
+                near.weight += e.share * w;
+            }
+            if !self.direct.is_empty() {
+                let emission = e.share * e.emission;
+                near.irradiance += emission;
+                near.emitted += emission * w_direct;
+            }
+        });
+        near.covered &= covered;
+        near.rays += rays;
+        seen
+    }
+}
+
+impl Gather for Lightcuts<'_> {
+    fn gather(&self, receivers: &[Receiver], progress: &dyn Progress) -> Result<Vec<Gathered>, Cancelled> {
+        run::each(receivers, progress, Scratch::default, |scratch, receiver| self.at(scratch, receiver))
+    }
+}
+
+/// The median, band by band (the lower one of an even number); 0 of nothing.
+fn median(seen: &[Rgb]) -> Rgb {
+    let mut values = [0.0f32; MOST_SEEN];
+    let n = seen.len().min(MOST_SEEN);
+    if n == 0 {
+        return Rgb::ZERO;
+    }
+    Rgb::from_array([0, 1, 2].map(|band| {
+        for (value, seen) in values.iter_mut().zip(seen) {
+            *value = seen[band];
+        }
+        *values[..n].select_nth_unstable_by((n - 1) / 2, f32::total_cmp).1
+    }))
+}
+
+/// Mean radiosity of all surfels by area, over the bands.
+fn mean_radiosity(field: &Field) -> f32 {
+    let (mut power, mut area) = (0.0f64, 0.0f64);
+    for (i, surfel) in field.surfels.list.iter().enumerate() {
+        let radiosity = surfel.albedo * (field.solution.direct[i] + field.solution.indirect[i]);
+        power += f64::from(radiosity.element_sum() / 3.0 * surfel.area);
+        area += f64::from(surfel.area);
+    }
+    if area > 0.0 { (power / area) as f32 } else { 0.0 }
+}
+
+/// Rays from evenly chosen lit surfels all end on surfels: nothing that is lit sees a way out.
+fn is_closed(field: &Field) -> bool {
+    let (most, rays) = PROBES;
+    let reflects = |i: &usize| {
+        let (s, solution) = (&field.surfels.list[*i], field.solution);
+        (s.albedo * (solution.direct[*i] + solution.indirect[*i])).max_element() > 0.0
+    };
+    let lit: Vec<usize> = (0..field.surfels.list.len()).filter(reflects).collect();
+    let hemisphere = Hemisphere::new(rays);
+    let step = lit.len().div_ceil(most).max(1);
+    lit.iter().step_by(step).all(|&i| {
+        let receiver = surfel_receiver(field, &field.surfels.list[i]);
+        let origin = receiver.position + receiver.normal * OFFSET;
+        hemisphere.about(receiver.normal, receiver.seed).directions().all(|direction| {
+            let mut covered = false;
+            field.walk(origin, direction, |e| covered = e.known && e.share == Rgb::ONE);
+            covered
+        })
+    })
+}

@@ -1,0 +1,168 @@
+//! From a point on a surface to its surfel: an open-addressing table of the occupied voxels. It takes memory in
+//! proportion to the surfels, however large and empty the scene is.
+
+use glam::{IVec3, Vec3};
+
+use crate::{sampling::mix, surfel::Surfels};
+
+/// A surfel and a surface point look to the same side when their normals agree at least this well: surfels gather
+/// normals within dot 0.9 of their mean.
+const FACING: f32 = 0.5;
+
+#[derive(Clone, Copy)]
+struct Slot {
+    voxel: IVec3,
+    first: u32,
+    /// 0: the slot is free.
+    count: u32,
+}
+
+/// Finds surfels by voxel.
+pub struct SurfelIndex {
+    slots: Vec<Slot>,
+    normals: Vec<Vec3>,
+    centroids: Vec<Vec3>,
+    origin: Vec3,
+    per_edge: f32,
+}
+
+impl SurfelIndex {
+    pub fn new(surfels: &Surfels) -> Self {
+        let list = &surfels.list;
+        let runs = || list.chunk_by(|a, b| a.voxel == b.voxel);
+        let voxels = runs().count();
+        let size = (2 * voxels).next_power_of_two().max(2);
+        let mut slots = vec![Slot { voxel: IVec3::ZERO, first: 0, count: 0 }; size];
+        let mut first = 0;
+        for run in runs() {
+            let mut at = hash(run[0].voxel) & (size - 1);
+            while slots[at].count > 0 {
+                at = (at + 1) & (size - 1);
+            }
+            slots[at] = Slot { voxel: run[0].voxel, first, count: run.len() as u32 };
+            first += run.len() as u32;
+        }
+        Self {
+            slots,
+            normals: list.iter().map(|s| s.normal).collect(),
+            centroids: list.iter().map(|s| s.centroid).collect(),
+            origin: surfels.grid.origin,
+            per_edge: 1.0 / surfels.grid.edge,
+        }
+    }
+
+    /// The voxel that holds a point.
+    pub fn voxel(&self, point: Vec3) -> IVec3 {
+        ((point - self.origin) * self.per_edge).floor().as_ivec3()
+    }
+
+    /// The surfels of a voxel, as a range of the list.
+    pub fn surfels(&self, voxel: IVec3) -> std::ops::Range<usize> {
+        let mask = self.slots.len() - 1;
+        let mut at = hash(voxel) & mask;
+        // At least half of the slots are free, so the search ends.
+        while self.slots[at].count > 0 {
+            let slot = &self.slots[at];
+            if slot.voxel == voxel {
+                return slot.first as usize..(slot.first + slot.count) as usize;
+            }
+            at = (at + 1) & mask;
+        }
+        0..0
+    }
+
+    /// The surfel at a surface point on the side that `normal` looks to: the best aligned one of the point's voxel; in a
+    /// voxel without any (a sliver that carries no area) the nearest one of the neighbours that faces the same side.
+    pub fn find(&self, point: Vec3, normal: Vec3) -> Option<usize> {
+        let voxel = self.voxel(point);
+        let mut best = (FACING, None);
+        for i in self.surfels(voxel) {
+            let facing = self.normals[i].dot(normal);
+            if facing > best.0 {
+                best = (facing, Some(i));
+            }
+        }
+        best.1.or_else(|| self.nearest(voxel, point, normal))
+    }
+
+    #[cold]
+    fn nearest(&self, voxel: IVec3, point: Vec3, normal: Vec3) -> Option<usize> {
+        let mut best = (f32::INFINITY, None);
+        for neighbour in neighbours(voxel, 1) {
+            for i in self.surfels(neighbour) {
+                let distance = self.centroids[i].distance_squared(point);
+                if self.normals[i].dot(normal) > FACING && distance < best.0 {
+                    best = (distance, Some(i));
+                }
+            }
+        }
+        best.1
+    }
+}
+
+/// The voxels within `reach` of one, itself included, in a fixed order.
+pub(super) fn neighbours(voxel: IVec3, reach: i32) -> impl Iterator<Item = IVec3> {
+    let span = move || -reach..=reach;
+    let offsets = span().flat_map(move |x| span().flat_map(move |y| span().map(move |z| IVec3::new(x, y, z))));
+    offsets.map(move |offset| IVec3::from_array([0, 1, 2].map(|i| voxel[i].wrapping_add(offset[i]))))
+}
+
+fn hash(voxel: IVec3) -> usize {
+    let [x, y, z] = voxel.to_array().map(|v| u64::from(v as u32));
+    // 21 bits an axis fill the word; larger coordinates only share slots.
+    mix(x ^ (y << 21) ^ (z << 42)) as usize
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{
+        Rgb,
+        surfel::{Grid, Surfel},
+    };
+
+    fn surfel(voxel: IVec3, normal: Vec3) -> Surfel {
+        Surfel {
+            voxel,
+            centroid: voxel.as_vec3() + 0.5,
+            normal,
+            area: 1.0,
+            albedo: Rgb::ONE,
+            emission: Rgb::ZERO,
+            fill: 1.0,
+            triangle: 0,
+            u: 0.0,
+            v: 0.0,
+            back: false,
+        }
+    }
+
+    #[test]
+    fn every_surfel_is_found_from_its_own_centre_and_side() {
+        let mut list = Vec::new();
+        for x in -7..9 {
+            for y in 0..11 {
+                let z = (x * 7 + y * 3) % 5;
+                list.push(surfel(IVec3::new(x, y, z), Vec3::Z));
+                list.push(surfel(IVec3::new(x, y, z), -Vec3::Z));
+            }
+        }
+        let surfels = Surfels { grid: Grid { origin: Vec3::ZERO, edge: 1.0, size: IVec3::splat(16) }, list };
+        let index = SurfelIndex::new(&surfels);
+        for (i, s) in surfels.list.iter().enumerate() {
+            assert_eq!(index.find(s.centroid, s.normal), Some(i));
+        }
+        // Sideways nobody looks; far away nobody is.
+        assert_eq!(index.find(surfels.list[0].centroid, Vec3::X), None);
+        assert_eq!(index.find(Vec3::splat(1e9), Vec3::Z), None);
+        // Half a voxel outside the sheet the nearest neighbour answers.
+        let edge = Vec3::new(-7.2, 0.5, surfels.list[0].centroid.z);
+        assert_eq!(index.find(edge, Vec3::Z), Some(0));
+    }
+
+    #[test]
+    fn an_empty_index_finds_nothing() {
+        let surfels = Surfels { grid: Grid { origin: Vec3::ZERO, edge: 1.0, size: IVec3::ONE }, list: Vec::new() };
+        assert_eq!(SurfelIndex::new(&surfels).find(Vec3::ZERO, Vec3::Z), None);
+    }
+}
