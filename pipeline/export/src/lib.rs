@@ -3,6 +3,7 @@
 //! | product | module | unit of its texels |
 //! |---|---|---|
 //! | `level.lightmap.exr`, `level.bound.exr` | [`openexr`] | E [lux] |
+//! | `level.glb` | [`gltf`] | E / intensity, 8 bit |
 //! | `level.preview.png` | [`tonemap`], [`png`] | sRGB display light |
 //! | `level.bake.json` | [`report`] | |
 //! | names, order, hashes | [`output`], [`atomic`] | |
@@ -11,6 +12,7 @@
 
 pub mod atomic;
 pub mod error;
+pub mod gltf;
 pub mod lightmap;
 pub mod openexr;
 pub mod output;
@@ -20,6 +22,7 @@ pub mod tonemap;
 
 pub use atomic::write_atomic;
 pub use error::ExportError;
+pub use gltf::{Glb, Original};
 pub use lightmap::{BoundMap, Lightmap, sample_lightmap};
 pub use openexr::{Depth, write_exr};
 pub use output::{Files, OutputSet};

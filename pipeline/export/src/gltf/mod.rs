@@ -1,0 +1,129 @@
+//! The scene as a .glb that carries its lightmap, and nothing of the input lost.
+//!
+//! Everything works on the raw JSON, in its order, so that names, extras, animations, cameras and extensions that
+//! luxel has never heard of go through untouched. What changes:
+//!
+//! | what | how | module |
+//! |---|---|---|
+//! | buffers | one BIN chunk; meshopt decoded, data URIs and files taken in | [`original`], [`draft`] |
+//! | images | embedded | [`original`] |
+//! | meshes of lightmapped nodes | one copy per node, triangles, TEXCOORD_1 in atlas space | [`nodes`], [`vertices`] |
+//! | EXT_mesh_gpu_instancing | child nodes, where instances are lightmapped | [`instances`] |
+//! | their materials | one copy per page, with `MOZ_lightmap` | [`materials`], [`bitmap`] |
+//!
+//! No index of the input changes its meaning: copies take the slot of an original that nothing uses any more, or the
+//! end of the list ([`draft`]). Of several buffers only the first one's name and extras can survive.
+
+mod accessor;
+mod bitmap;
+mod draft;
+mod fault;
+mod files;
+mod instances;
+mod json;
+mod materials;
+mod meshopt;
+mod nodes;
+mod original;
+mod references;
+#[cfg(test)]
+mod tests;
+mod vertices;
+
+use luxel_atlas::Atlas;
+use luxel_scene::{Notice, Scene};
+
+pub use original::Original;
+
+use self::{
+    bitmap::Bitmap,
+    draft::Draft,
+    fault::{Checked, Fault},
+    materials::{Materials, PageTexture},
+    nodes::Nodes,
+};
+use crate::{ExportError, Lightmap};
+
+/// A finished .glb.
+#[derive(Clone, Debug)]
+pub struct Glb {
+    pub bytes: Vec<u8>,
+    /// One per atlas page.
+    pub pages: Vec<PageStats>,
+    pub notices: Vec<Notice>,
+}
+
+/// How a page fared in 8 bits.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PageStats {
+    /// E [lux] of a full byte.
+    pub intensity: f32,
+    /// Covered texels that were clipped.
+    pub clipped: usize,
+}
+
+impl Original {
+    /// The scene with its lightmap. `lightmaps` holds one image per atlas page, `names` the file names of the images
+    /// with the full range. The scene and the atlas must have been made from this very file.
+    pub fn lightmapped(
+        &self,
+        scene: &Scene,
+        atlas: &Atlas,
+        lightmaps: &[Lightmap],
+        names: &[String],
+    ) -> Result<Glb, ExportError> {
+        if lightmaps.len() != atlas.pages.len() || names.len() != atlas.pages.len() {
+            let fault = format!("{} images for {} pages", lightmaps.len(), atlas.pages.len());
+            return Err(ExportError::Image { what: "lightmap".into(), fault });
+        }
+        let mut pages = Vec::new();
+        for (map, name) in lightmaps.iter().zip(names) {
+            pages.push(PageTexture::new(Bitmap::new(map)?, name.clone()));
+        }
+        self.write(scene, atlas, pages).map_err(|fault| fault.of(&self.path))
+    }
+
+    fn write(&self, scene: &Scene, atlas: &Atlas, pages: Vec<PageTexture>) -> Checked<Glb> {
+        self.check_unchanged(scene)?;
+        let mut draft = Draft::new(self);
+        let nodes = Nodes::new(self, Materials::new(self, pages));
+        let pages = nodes.place(&mut draft, scene, atlas)?.settle(&mut draft)?;
+        let stats = |p: &PageTexture| PageStats { intensity: p.bitmap.intensity, clipped: p.bitmap.clipped };
+        let pages = pages.iter().map(stats).collect();
+        Ok(Glb { bytes: draft.finish()?, pages, notices: self.notices.clone() })
+    }
+
+    /// Files that the importer read too must have had the same bytes then.
+    fn check_unchanged(&self, scene: &Scene) -> Checked<()> {
+        for (path, digest) in &self.digests {
+            if scene.inputs.iter().any(|i| i.path == *path && i.digest != *digest) {
+                return Err(Fault::new(path.display().to_string(), "has changed while it was baked: bake again"));
+            }
+        }
+        Ok(())
+    }
+}
+
+/// A binary glTF of a JSON text and its buffer.
+fn glb_bytes(mut json: Vec<u8>, bin: &[u8]) -> Checked<Vec<u8>> {
+    json.resize(json.len().next_multiple_of(4), b' ');
+    let padded = bin.len().next_multiple_of(4);
+    let bin_chunk = if bin.is_empty() { 0 } else { 8 + padded };
+    let too_large = |_| Fault::new("GLB container", "would have more than 4 GiB");
+    let word = |n: usize| u32::try_from(n).map(u32::to_le_bytes).map_err(too_large);
+    let total = 12 + 8 + json.len() + bin_chunk;
+    let mut bytes = Vec::with_capacity(total);
+    bytes.extend_from_slice(b"glTF");
+    bytes.extend(word(2)?);
+    bytes.extend(word(total)?);
+    bytes.extend(word(json.len())?);
+    bytes.extend_from_slice(b"JSON");
+    bytes.extend(json);
+    if !bin.is_empty() {
+        bytes.extend(word(padded)?);
+        bytes.extend_from_slice(b"BIN\0");
+        bytes.extend_from_slice(bin);
+        bytes.resize(total, 0);
+    }
+    Ok(bytes)
+}

@@ -1,0 +1,143 @@
+//! Which node gets which lightmapped mesh.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use luxel_atlas::{Atlas, Placed};
+use luxel_scene::Scene;
+use serde_json::Value;
+
+use super::{
+    draft::{Draft, settle_copies},
+    fault::{Checked, Fault},
+    instances,
+    json::{Object, add_extra, forget_extension, item, item_mut, list, number, objects_mut, place},
+    materials::{Materials, new_set},
+    original::Original,
+    references,
+    vertices::{Vertices, source_primitive},
+};
+
+/// Placed primitives of one mesh in one place.
+type Primitives<'a> = BTreeMap<usize, &'a Placed>;
+/// What was baked of one node: the glTF meshes that the scene says it has (one, or the file has changed), and by GPU
+/// instance the primitives.
+#[derive(Default)]
+struct Baked<'a> {
+    meshes: BTreeSet<usize>,
+    by_instance: BTreeMap<Option<u32>, Primitives<'a>>,
+}
+
+/// Gives every node that holds lightmapped instances a mesh of its own.
+pub struct Nodes<'a> {
+    pub original: &'a Original,
+    pub materials: Materials,
+    pub several_pages: bool,
+    vertices: Vertices,
+    copies: Vec<(Option<usize>, Value)>,
+    old_meshes: usize,
+}
+
+impl<'a> Nodes<'a> {
+    pub fn new(original: &'a Original, materials: Materials) -> Self {
+        let several_pages = materials.pages().len() > 1;
+        let old_meshes = list(&original.root, "meshes").len();
+        Self { original, materials, several_pages, vertices: Vertices::default(), copies: Vec::new(), old_meshes }
+    }
+
+    /// Works through the whole scene; returns the materials for settling.
+    pub fn place(mut self, draft: &mut Draft, scene: &Scene, atlas: &Atlas) -> Checked<Materials> {
+        for (node, baked) in plan(scene, atlas)? {
+            self.place_node(draft, node, baked)?;
+        }
+        // A stranger that means the old mesh may as well have the first copy: it is the same shape.
+        settle_copies(&mut draft.root, "meshes", references::meshes, self.copies, BTreeSet::new())?;
+        let instanced = |n: &mut Object| super::json::extension(n, instances::EXTENSION).is_some();
+        if !objects_mut(&mut draft.root, "nodes").any(instanced) {
+            forget_extension(&mut draft.root, instances::EXTENSION);
+        }
+        forget_draco(&mut draft.root);
+        Ok(self.materials)
+    }
+
+    fn place_node(&mut self, draft: &mut Draft, node: usize, baked: Baked) -> Checked<()> {
+        let mut by_instance = baked.by_instance;
+        let object = item(&self.original.root, "nodes", node)?;
+        let name = place(&self.original.root, "nodes", node);
+        let stranger = || Fault::new(&name, "does not hold what was baked: the file has changed");
+        let mesh = number(object, "mesh").ok_or_else(stranger)?;
+        if baked.meshes.iter().any(|m| *m != mesh) {
+            return Err(stranger());
+        }
+        if super::json::extension(object, instances::EXTENSION).is_none() {
+            let primitives = by_instance.remove(&None).filter(|_| by_instance.is_empty()).ok_or_else(stranger)?;
+            return self.give(draft, node, mesh, &primitives);
+        }
+        let children = instances::expand(&mut draft.root, self.original, node)?;
+        for (i, child) in children.into_iter().enumerate() {
+            let primitives = u32::try_from(i).ok().and_then(|i| by_instance.remove(&Some(i)));
+            match primitives {
+                Some(primitives) => self.give(draft, child, mesh, &primitives)?,
+                None => drop(item_mut(&mut draft.root, "nodes", child)?.insert("mesh".into(), mesh.into())),
+            }
+        }
+        if by_instance.is_empty() { Ok(()) } else { Err(stranger()) }
+    }
+
+    /// Puts a copy of the mesh with lightmapped primitives into a node.
+    fn give(&mut self, draft: &mut Draft, node: usize, mesh: usize, primitives: &Primitives) -> Checked<()> {
+        let mut copy = item(&self.original.root, "meshes", mesh)?.clone();
+        for (&index, placed) in primitives {
+            let old = source_primitive(self.original, mesh, index)?;
+            let moved = new_set(self.original, old)?;
+            let mut new = self.vertices.primitive(draft, self.original, (mesh, index), placed, moved)?;
+            self.materials.apply(draft, self.original, &mut new, placed.page, moved)?;
+            if let Some(slot) = copy.get_mut("primitives").and_then(|p| p.get_mut(index)) {
+                *slot = Value::Object(new);
+            }
+        }
+        let count = copy.get("primitives").and_then(Value::as_array).map_or(0, Vec::len);
+        self.copies.push((Some(mesh), Value::Object(copy)));
+        let object = item_mut(&mut draft.root, "nodes", node)?;
+        object.insert("mesh".into(), (self.old_meshes + self.copies.len() - 1).into());
+        if self.several_pages {
+            add_extra(object, "lightmap", pages(primitives, count));
+        }
+        Ok(())
+    }
+}
+
+/// The page of a node, or the list of its primitives' pages (null without) where they differ.
+fn pages(primitives: &Primitives, count: usize) -> Value {
+    let first = primitives.values().next().map(|p| p.page);
+    if primitives.values().all(|p| Some(p.page) == first) {
+        return first.into();
+    }
+    (0..count).map(|i| Value::from(primitives.get(&i).map(|p| p.page))).collect()
+}
+
+fn plan<'a>(scene: &Scene, atlas: &'a Atlas) -> Checked<BTreeMap<usize, Baked<'a>>> {
+    if scene.instances.len() != atlas.placed.len() {
+        return Err(Fault::new("atlas", "does not belong to this scene"));
+    }
+    let mut plan: BTreeMap<usize, Baked> = BTreeMap::new();
+    for (instance, placed) in scene.instances.iter().zip(&atlas.placed) {
+        let Some(placed) = placed.as_ref().filter(|p| !p.triangles.is_empty()) else { continue };
+        let mesh = &scene.meshes[instance.mesh];
+        let baked = plan.entry(instance.node).or_default();
+        baked.meshes.insert(mesh.gltf_mesh);
+        let primitives = baked.by_instance.entry(instance.gpu_instance).or_default();
+        if primitives.insert(mesh.gltf_primitive, placed).is_some() {
+            return Err(Fault::new(&instance.name, "is there twice"));
+        }
+    }
+    Ok(plan)
+}
+
+/// Draco goes off the lists when no primitive uses it any more.
+fn forget_draco(root: &mut Object) {
+    const DRACO: &str = "KHR_draco_mesh_compression";
+    let uses = |m: &mut Object| objects_mut(m, "primitives").any(|p| super::json::extension(p, DRACO).is_some());
+    if !objects_mut(root, "meshes").any(uses) {
+        forget_extension(root, DRACO);
+    }
+}
