@@ -7,16 +7,20 @@
 //! glTF: metres, radiance in cd/m² (nits), intensity in cd, illuminance in lux, linear Rec. 709 RGB.
 
 pub mod build;
+pub mod import;
 pub mod light;
 pub mod material;
 pub mod progress;
+mod pyramid;
 pub mod scene;
 pub mod sky;
 pub mod texture;
 
+pub use import::{ImportError, ImportOptions, Limits};
 pub use light::{Light, LightKind};
 pub use material::{Alpha, Material, Surface, TextureRef};
 pub use progress::{Cancelled, Progress, Silent};
+pub use pyramid::LazyPyramid;
 pub use scene::{Camera, InputFile, Instance, Mesh, Notice, Scene};
-pub use sky::Sky;
+pub use sky::{Sky, SkyImage};
 pub use texture::{Texture, Wrap};

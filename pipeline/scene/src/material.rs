@@ -58,8 +58,17 @@ impl TextureRef {
     fn sample(&self, textures: &[Texture], uv: &dyn Fn(usize) -> Vec2, footprint: f32) -> Vec4 {
         let p = uv(self.tex_coord);
         let p = self.matrix[0] * p.x + self.matrix[1] * p.y + self.offset;
-        let stretch = (self.matrix[0].length() * self.matrix[1].length()).sqrt();
-        textures[self.texture].sample(p, self.wrap, footprint * stretch)
+        textures[self.texture].sample(p, self.wrap, footprint * self.stretch())
+    }
+
+    /// How much longer a length in the mesh's UV space is in the texture's.
+    fn stretch(&self) -> f32 {
+        (self.matrix[0].length() * self.matrix[1].length()).sqrt()
+    }
+
+    /// The average over this footprint holds, in its alpha, the share that passes the material's alpha test.
+    fn is_tested(&self, textures: &[Texture], footprint: f32) -> bool {
+        textures[self.texture].is_tested(footprint * self.stretch())
     }
 }
 
@@ -102,7 +111,8 @@ impl Material {
     /// Evaluates the material; `uv(set)` gives the texture coordinates, `color` is the vertex colour.
     pub fn surface(&self, textures: &[Texture], uv: &dyn Fn(usize) -> Vec2, color: Vec4, footprint: f32) -> Surface {
         let fetch = |t: &Option<TextureRef>| t.as_ref().map_or(Vec4::ONE, |t| t.sample(textures, uv, footprint));
-        let base = self.base_color * fetch(&self.base_color_texture) * color;
+        let texel = fetch(&self.base_color_texture);
+        let base = self.base_color * texel * color;
         let mr = fetch(&self.metallic_roughness_texture);
         let (metallic, roughness) = (self.metallic * mr.z, self.roughness * mr.y);
         let transmission = (self.transmission * fetch(&self.transmission_texture).x).clamp(0.0, 1.0);
@@ -112,7 +122,11 @@ impl Material {
         let alpha = base.w.clamp(0.0, 1.0);
         let coverage = match self.alpha {
             Alpha::Opaque => 1.0,
-            Alpha::Mask(cutoff) => f32::from(alpha >= cutoff),
+            Alpha::Mask(cutoff) => match &self.base_color_texture {
+                // The texture's own alpha is the share here; factor and vertex colour are part of its test or absent.
+                Some(t) if color.w == 1.0 && t.is_tested(textures, footprint) => texel.w,
+                _ => f32::from(alpha >= cutoff),
+            },
             Alpha::Blend => alpha,
         };
         // A veil tints what passes the more the denser it is; a transmitting body tints by its base colour.

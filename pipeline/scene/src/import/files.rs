@@ -1,0 +1,242 @@
+//! The files a scene consists of: relative paths, data URIs, size limits, digests.
+//!
+//! A glTF file names its buffers and images by URI (glTF 2.0 §2.8). A scene may come from anywhere, so a URI never
+//! leads to the network, to an absolute path, or far above the scene's folder.
+
+use std::collections::BTreeSet;
+use std::fs::File;
+use std::io::Read;
+use std::path::{Path, PathBuf};
+
+use base64::Engine;
+use base64::alphabet;
+use base64::engine::{DecodePaddingMode, GeneralPurpose, GeneralPurposeConfig};
+
+use super::error::{Checked, Fault, FaultKind, quoted};
+use super::options::Limits;
+use crate::InputFile;
+
+/// Padding is often left out in the wild; without it the length says the same.
+const BASE64: GeneralPurpose = GeneralPurpose::new(
+    &alphabet::STANDARD,
+    GeneralPurposeConfig::new()
+        .with_decode_padding_mode(DecodePaddingMode::Indifferent)
+        .with_decode_allow_trailing_bits(true),
+);
+
+/// Reads files below (or near) one folder and remembers what it read.
+pub struct Files {
+    folder: PathBuf,
+    limits: Limits,
+    inputs: Vec<InputFile>,
+    seen: BTreeSet<PathBuf>,
+    bytes: u64,
+}
+
+impl Files {
+    /// For the scene at `scene`.
+    pub fn beside(scene: &Path, limits: &Limits) -> Self {
+        let folder = scene.parent().map(Path::to_path_buf).unwrap_or_default();
+        Self { folder, limits: limits.clone(), inputs: Vec::new(), seen: BTreeSet::new(), bytes: 0 }
+    }
+
+    /// Bytes read so far, data URIs included.
+    pub fn bytes_read(&self) -> u64 {
+        self.bytes
+    }
+
+    pub fn into_inputs(self) -> Vec<InputFile> {
+        self.inputs
+    }
+
+    /// Reads a whole regular file within the size limit and records its digest. `place` is what asked for it.
+    pub fn read(&mut self, path: &Path, place: &str) -> Checked<Vec<u8>> {
+        let unreadable = |what: String| {
+            let hint = "check that the file is there and may be read";
+            Fault::new(FaultKind::Unreadable, place, what, hint)
+        };
+        let name = path.display();
+        let meta = std::fs::metadata(path).map_err(|e| unreadable(format!("cannot read {name} ({e})")))?;
+        // A pipe or a device could block for ever.
+        if !meta.is_file() {
+            return Err(unreadable(format!("{name} is not a regular file")));
+        }
+        let limit = self.limits.file_bytes;
+        let too_large = |n: u64| Fault::limit(place, format!("{name} has {n} bytes"), "file_bytes", limit);
+        if meta.len() > limit {
+            return Err(too_large(meta.len()));
+        }
+        let mut bytes = Vec::new();
+        File::open(path)
+            .and_then(|file| file.take(limit.saturating_add(1)).read_to_end(&mut bytes))
+            .map_err(|e| unreadable(format!("cannot read {name} ({e})")))?;
+        // The file may have grown since its size was asked for.
+        if bytes.len() as u64 > limit {
+            return Err(too_large(bytes.len() as u64));
+        }
+        self.bytes = self.bytes.saturating_add(bytes.len() as u64);
+        if self.seen.insert(path.to_path_buf()) {
+            self.inputs.push(InputFile { path: path.to_path_buf(), digest: *blake3::hash(&bytes).as_bytes() });
+        }
+        Ok(bytes)
+    }
+
+    /// The bytes behind a URI of the glTF document.
+    pub fn fetch(&mut self, uri: &str, place: &str) -> Checked<Vec<u8>> {
+        if let Some(data) = strip_scheme(uri, "data") {
+            let bytes = decode_data(data).map_err(|what| Fault::invalid(place, what))?;
+            self.bytes = self.bytes.saturating_add(bytes.len() as u64);
+            return Ok(bytes);
+        }
+        let path = self.locate(uri, place)?;
+        self.read(&path, place)
+    }
+
+    /// The path a relative URI means. Percent-encoding is undone as the specification says; names that were written
+    /// without encoding them, or with backslashes, are found when the proper reading finds nothing.
+    fn locate(&self, uri: &str, place: &str) -> Checked<PathBuf> {
+        let decoded = percent_encoding::percent_decode_str(uri)
+            .decode_utf8()
+            .map_err(|_| Fault::invalid(place, format!("the URI {} is not UTF-8", quoted(uri))))?;
+        let proper = self.checked_path(&decoded, uri, place)?;
+        if proper.exists() {
+            return Ok(proper);
+        }
+        for other in [uri.to_owned(), decoded.replace('\\', "/")] {
+            if let Ok(path) = self.checked_path(&other, uri, place)
+                && path.exists()
+            {
+                return Ok(path);
+            }
+        }
+        Ok(proper)
+    }
+
+    fn checked_path(&self, relative: &str, uri: &str, place: &str) -> Checked<PathBuf> {
+        let refuse = |why: &str| {
+            let hint = "keep buffers and images beside the scene and name them by relative paths, or embed them";
+            Fault::new(FaultKind::Unsupported, place, format!("the URI {} {why}", quoted(uri)), hint)
+        };
+        if relative.is_empty() || relative.contains('\0') {
+            return Err(refuse("names no file"));
+        }
+        if scheme(relative).is_some() {
+            return Err(refuse("is not a relative path"));
+        }
+        if relative.starts_with(['/', '\\']) || Path::new(relative).is_absolute() {
+            return Err(refuse("is an absolute path"));
+        }
+        if levels_above(relative) > self.limits.parent_levels {
+            return Err(refuse("leads too far above the scene's folder (limit `parent_levels`)"));
+        }
+        Ok(self.folder.join(relative))
+    }
+}
+
+/// How many folders above its start a relative path climbs at most.
+fn levels_above(path: &str) -> u32 {
+    let (mut depth, mut lowest) = (0i64, 0i64);
+    for part in path.split(['/', '\\']) {
+        match part {
+            "" | "." => {}
+            ".." => depth -= 1,
+            _ => depth += 1,
+        }
+        lowest = lowest.min(depth);
+    }
+    u32::try_from(-lowest).unwrap_or(u32::MAX)
+}
+
+/// The scheme of a URI in RFC 3986's grammar.
+fn scheme(uri: &str) -> Option<&str> {
+    let (scheme, _) = uri.split_once(':')?;
+    let mut chars = scheme.chars();
+    let proper =
+        chars.next()?.is_ascii_alphabetic() && chars.all(|c| c.is_ascii_alphanumeric() || matches!(c, '+' | '-' | '.'));
+    proper.then_some(scheme)
+}
+
+fn strip_scheme<'a>(uri: &'a str, wanted: &str) -> Option<&'a str> {
+    scheme(uri).filter(|s| s.eq_ignore_ascii_case(wanted)).map(|s| &uri[s.len() + 1..])
+}
+
+/// The payload of `data:[media type][;base64],payload` (RFC 2397), without its `data:`.
+fn decode_data(data: &str) -> Result<Vec<u8>, String> {
+    let (head, payload) = data.split_once(',').ok_or("the data URI has no comma")?;
+    if head.rsplit(';').next().is_some_and(|last| last.trim().eq_ignore_ascii_case("base64")) {
+        let payload = payload.trim_end();
+        if payload.contains('%') {
+            let plain: Vec<u8> = percent_encoding::percent_decode_str(payload).collect();
+            return BASE64.decode(plain).map_err(|e| format!("the data URI is not base64 ({e})"));
+        }
+        BASE64.decode(payload).map_err(|e| format!("the data URI is not base64 ({e})"))
+    } else {
+        Ok(percent_encoding::percent_decode_str(payload).collect())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn files() -> Files {
+        Files::beside(Path::new("scenes/hall/level.gltf"), &Limits::default())
+    }
+
+    #[test]
+    fn data_uris_decode() {
+        let mut files = files();
+        for uri in [
+            "data:application/octet-stream;base64,AQID",
+            "data:;base64,AQID",
+            "DATA:image/png;BASE64,AQID",
+            "data:,%01%02%03",
+        ] {
+            assert_eq!(files.fetch(uri, "buffer 0").unwrap(), [1, 2, 3], "{uri}");
+        }
+        assert_eq!(files.fetch("data:;base64,AQI", "buffer 0").unwrap(), [1, 2], "padding may be missing");
+        assert!(files.fetch("data:;base64,A*ID", "buffer 0").is_err());
+        assert!(files.fetch("data:;base64", "buffer 0").is_err());
+        assert_eq!(files.bytes_read(), 14);
+    }
+
+    #[test]
+    fn paths_stay_near_the_scene() {
+        let files = files();
+        let at = |uri: &str| files.locate(uri, "image 0").map(|p| p.to_string_lossy().replace('\\', "/"));
+        assert_eq!(at("wall%20a.png").unwrap(), "scenes/hall/wall a.png");
+        assert_eq!(at("../textures/wall.png").unwrap(), "scenes/hall/../textures/wall.png");
+        for uri in [
+            "/etc/hostname",
+            "\\\\server\\share",
+            "C:\\wall.png",
+            "file:///etc/hostname",
+            "https://example.org/wall.png",
+            "../../../wall.png",
+            "a/../../../../wall.png",
+            "%2e%2e/%2e%2e/%2e%2e/wall.png",
+            "",
+            "a%00b",
+            "%ff.png",
+        ] {
+            assert!(at(uri).is_err(), "{uri}");
+        }
+    }
+
+    #[test]
+    fn a_missing_file_and_a_folder_are_named() {
+        let mut files = files();
+        let missing = files.fetch("nowhere.bin", "buffer 2").unwrap_err().to_string();
+        assert!(missing.contains("buffer 2") && missing.contains("nowhere.bin"), "{missing}");
+        let folder = files.read(Path::new(env!("CARGO_MANIFEST_DIR")), "sky").unwrap_err().to_string();
+        assert!(folder.contains("not a regular file"), "{folder}");
+    }
+
+    #[test]
+    fn the_size_limit_holds() {
+        let limits = Limits { file_bytes: 10, ..Limits::default() };
+        let manifest = Path::new(env!("CARGO_MANIFEST_DIR")).join("Cargo.toml");
+        let fault = Files::beside(&manifest, &limits).read(&manifest, "").unwrap_err();
+        assert!(fault.kind == FaultKind::Limit && fault.what.contains("file_bytes"), "{fault}");
+    }
+}

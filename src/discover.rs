@@ -1,0 +1,107 @@
+//! Which scenes a command line means: files as they are named, and what lies below folders.
+
+use std::io;
+use std::path::{Path, PathBuf};
+
+use luxel_export::output::DEFAULT_FOLDER;
+
+/// A scene to bake.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Found {
+    pub scene: PathBuf,
+    /// The folder that was searched, if one was: outputs mirror its subfolders.
+    pub root: Option<PathBuf>,
+}
+
+#[derive(Debug, thiserror::Error)]
+pub enum DiscoverError {
+    #[error("{0}: there is no such file or folder")]
+    Missing(PathBuf),
+    #[error("{0}: no .gltf or .glb lies below this folder")]
+    Empty(PathBuf),
+    #[error("cannot list the folder {path}")]
+    List { path: PathBuf, source: io::Error },
+}
+
+/// Expands files and folders, in the order of naming, folders sorted by path, no scene twice. Folders that hold
+/// outputs (`baked`, and `out` itself), hidden ones and links to folders are not entered.
+pub fn find(paths: &[PathBuf], out: Option<&Path>) -> Result<Vec<Found>, DiscoverError> {
+    let mut found: Vec<Found> = Vec::new();
+    let out = out.and_then(|o| o.canonicalize().ok());
+    for path in paths {
+        let scenes = if path.is_dir() {
+            let scenes = below(path, out.as_deref())?;
+            if scenes.is_empty() {
+                return Err(DiscoverError::Empty(path.clone()));
+            }
+            scenes.into_iter().map(|scene| Found { scene, root: Some(path.clone()) }).collect()
+        } else if path.exists() {
+            vec![Found { scene: path.clone(), root: None }]
+        } else {
+            return Err(DiscoverError::Missing(path.clone()));
+        };
+        for scene in scenes {
+            if !found.iter().any(|f| f.scene == scene.scene) {
+                found.push(scene);
+            }
+        }
+    }
+    Ok(found)
+}
+
+fn below(root: &Path, out: Option<&Path>) -> Result<Vec<PathBuf>, DiscoverError> {
+    let mut scenes = Vec::new();
+    let mut folders = vec![root.to_path_buf()];
+    while let Some(folder) = folders.pop() {
+        let failed = |source| DiscoverError::List { path: folder.clone(), source };
+        for entry in std::fs::read_dir(&folder).map_err(failed)? {
+            let entry = entry.map_err(failed)?;
+            let (path, kind) = (entry.path(), entry.file_type().map_err(failed)?);
+            let name = entry.file_name();
+            let hidden = name.as_encoded_bytes().starts_with(b".");
+            if kind.is_dir() {
+                let is_out = out.is_some() && path.canonicalize().ok().as_deref() == out;
+                if !hidden && name != DEFAULT_FOLDER && !is_out {
+                    folders.push(path);
+                }
+            } else if !hidden && is_scene(&path) {
+                scenes.push(path);
+            }
+        }
+    }
+    scenes.sort();
+    Ok(scenes)
+}
+
+fn is_scene(path: &Path) -> bool {
+    path.extension().is_some_and(|e| e.eq_ignore_ascii_case("gltf") || e.eq_ignore_ascii_case("glb"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn folders_are_searched_and_outputs_left_alone() {
+        let folder = tempfile::tempdir().unwrap();
+        let at = |name: &str| folder.path().join(name);
+        for name in ["b.glb", "a/c.GLTF", "a/d.txt", "baked/b.glb", "a/baked/c.glb", ".trash/x.glb", "out/b.glb"] {
+            std::fs::create_dir_all(at(name).parent().unwrap()).unwrap();
+            std::fs::write(at(name), "").unwrap();
+        }
+        let root = folder.path().to_path_buf();
+        let found = find(&[root.clone(), at("b.glb")], Some(&at("out"))).unwrap();
+        let scenes: Vec<_> = found.iter().map(|f| f.scene.clone()).collect();
+        assert_eq!(scenes, [at("a/c.GLTF"), at("b.glb")]);
+        assert!(found.iter().all(|f| f.root.as_ref() == Some(&root)));
+        assert_eq!(find(&[at("baked/b.glb")], None).unwrap()[0].root, None, "a named file is taken as it is");
+    }
+
+    #[test]
+    fn what_is_not_there_is_told() {
+        let folder = tempfile::tempdir().unwrap();
+        let error = |path: PathBuf| find(&[path], None).unwrap_err().to_string();
+        assert!(error(folder.path().into()).contains("no .gltf or .glb"));
+        assert!(error(folder.path().join("x.glb")).contains("no such file"));
+    }
+}

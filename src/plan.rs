@@ -1,0 +1,418 @@
+//! What a scene needs, and what it does not: decided once, before any work, and obeyed by the bake.
+//!
+//! A [`Plan`] is a pure function of scene and settings. It lists every stage with the reason why it runs or is left
+//! out, and estimates the memory that the bake takes beyond the scene.
+
+use luxel_scene::{LightKind, Material, Scene};
+use serde::Serialize;
+
+use crate::settings::{GatherMode, Only, Settings, Voxels};
+
+/// The chain of a bake, in order.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Stage {
+    Import,
+    Unwrap,
+    Rays,
+    Surfels,
+    Shoot,
+    Propagate,
+    Cache,
+    Direct,
+    Sky,
+    Gather,
+    Finish,
+    Preview,
+    Export,
+}
+
+impl Stage {
+    pub const ALL: [Self; 13] = [
+        Self::Import,
+        Self::Unwrap,
+        Self::Rays,
+        Self::Surfels,
+        Self::Shoot,
+        Self::Propagate,
+        Self::Cache,
+        Self::Direct,
+        Self::Sky,
+        Self::Gather,
+        Self::Finish,
+        Self::Preview,
+        Self::Export,
+    ];
+
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Import => "import",
+            Self::Unwrap => "unwrap",
+            Self::Rays => "rays",
+            Self::Surfels => "surfels",
+            Self::Shoot => "shoot",
+            Self::Propagate => "propagate",
+            Self::Cache => "cache",
+            Self::Direct => "direct",
+            Self::Sky => "sky",
+            Self::Gather => "gather",
+            Self::Finish => "finish",
+            Self::Preview => "preview",
+            Self::Export => "export",
+        }
+    }
+}
+
+/// A stage with the decision about it.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Step {
+    pub stage: Stage,
+    pub runs: bool,
+    /// What it will do, or why it is left out.
+    pub reason: String,
+}
+
+/// What the plan saw in the scene.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct Facts {
+    /// In the world, instances expanded.
+    pub triangles: usize,
+    pub instances: usize,
+    /// Instances that get a place in the lightmap.
+    pub receivers: usize,
+    /// World area of everything that casts, in squared scene units.
+    pub area: f64,
+    /// Triangles that emit light.
+    pub emissive_triangles: usize,
+    pub lamps: usize,
+    pub suns: usize,
+    pub sky: bool,
+    /// No surface reflects any light.
+    pub black: bool,
+    /// All lights and surfaces are grey.
+    pub grey: bool,
+    /// Some surface has holes or lets light through.
+    pub passable: bool,
+    /// Images that were decoded because a surface needs them.
+    pub textures: usize,
+}
+
+/// Estimated memory beyond the scene itself [bytes].
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct Memory {
+    pub rays: u64,
+    pub surfels: u64,
+    pub texels: u64,
+    pub images: u64,
+}
+
+impl Memory {
+    pub fn total(&self) -> u64 {
+        self.rays + self.surfels + self.texels + self.images
+    }
+}
+
+/// What will be done, and why.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Plan {
+    pub facts: Facts,
+    pub steps: Vec<Step>,
+    pub memory: Memory,
+}
+
+impl Plan {
+    pub fn new(scene: &Scene, settings: &Settings) -> Self {
+        let facts = Facts::new(scene);
+        let steps: Vec<Step> = Stage::ALL
+            .into_iter()
+            .map(|stage| match decide(stage, &facts, settings) {
+                Ok(reason) => Step { stage, runs: true, reason },
+                Err(reason) => Step { stage, runs: false, reason },
+            })
+            .collect();
+        let runs = |stage| steps.iter().any(|s| s.stage == stage && s.runs);
+        let memory = memory(&facts, scene, settings, &runs);
+        Self { facts, steps, memory }
+    }
+
+    pub fn runs(&self, stage: Stage) -> bool {
+        self.steps.iter().any(|s| s.stage == stage && s.runs)
+    }
+
+    pub fn reason(&self, stage: Stage) -> &str {
+        self.steps.iter().find(|s| s.stage == stage).map_or("", |s| &s.reason)
+    }
+}
+
+impl Facts {
+    pub fn new(scene: &Scene) -> Self {
+        let mut facts = Self {
+            triangles: scene.triangle_count(),
+            instances: scene.instances.len(),
+            receivers: scene.instances.iter().filter(|i| i.receives).count(),
+            sky: !scene.sky.is_dark(),
+            textures: scene.textures.len(),
+            black: true,
+            ..Self::default()
+        };
+        for light in scene.lights.iter().filter(|l| l.intensity.max_element() > 0.0) {
+            match light.kind {
+                LightKind::Sun { .. } => facts.suns += 1,
+                LightKind::Point { .. } | LightKind::Spot { .. } => facts.lamps += 1,
+            }
+        }
+        let mut used = vec![false; scene.materials.len()];
+        for instance in scene.instances.iter().filter(|i| i.casts || i.receives) {
+            let mesh = &scene.meshes[instance.mesh];
+            let material = &scene.materials[mesh.material];
+            used[mesh.material] = true;
+            if !instance.casts || material.unlit {
+                continue;
+            }
+            if material.emits() {
+                facts.emissive_triangles += mesh.triangles.len();
+            }
+            facts.black &= is_black(material);
+            facts.passable |= !material.is_opaque();
+            facts.area += (0..mesh.triangles.len())
+                .map(|t| {
+                    let [a, b, c] =
+                        scene.corners(instance.mesh, t).map(|p| instance.transform.transform_point3(p.as_dvec3()));
+                    0.5 * (b - a).cross(c - a).length()
+                })
+                .sum::<f64>();
+        }
+        facts.grey = is_grey(scene, &used);
+        facts
+    }
+
+    /// Light that is computed as direct: lamps, suns and emissive surfaces.
+    fn has_direct(&self) -> bool {
+        self.emissive_triangles + self.lamps + self.suns > 0
+    }
+
+    fn sources(&self) -> String {
+        let count = |n: usize, one: &str, many: &str| match n {
+            0 => None,
+            1 => Some(format!("1 {one}")),
+            n => Some(format!("{n} {many}")),
+        };
+        let parts: Vec<String> = [
+            count(self.emissive_triangles, "emissive triangle", "emissive triangles"),
+            count(self.lamps, "lamp", "lamps"),
+            count(self.suns, "sun", "suns"),
+        ]
+        .into_iter()
+        .flatten()
+        .collect();
+        parts.join(", ")
+    }
+}
+
+/// No texel of the material can reflect anything.
+fn is_black(m: &Material) -> bool {
+    let diffuse = (1.0 - m.metallic + m.metallic * m.roughness * m.metal_diffuse).max(0.0);
+    // A texture can only take the metal away again, so it leaves the question open.
+    let may_vary = m.metallic_roughness_texture.is_some();
+    m.base_color.truncate().max_element() <= 0.0 || m.transmission >= 1.0 || (diffuse <= 0.0 && !may_vary)
+}
+
+fn is_grey(scene: &Scene, used: &[bool]) -> bool {
+    use luxel_scene::Sky;
+    let grey = |c: glam::Vec3| c.x == c.y && c.y == c.z;
+    let sky = match &scene.sky {
+        Sky::None => true,
+        Sky::Constant(c) => grey(*c),
+        Sky::Gradient { zenith, horizon, ground } => grey(*zenith) && grey(*horizon) && grey(*ground),
+        Sky::Image(image) => image.texels.iter().all(|c| grey(*c)),
+    };
+    let texture = |t: &Option<luxel_scene::TextureRef>| {
+        t.as_ref().is_none_or(|t| scene.textures[t.texture].texels.iter().all(|c| c[0] == c[1] && c[1] == c[2]))
+    };
+    let colored_vertices = scene.meshes.iter().flat_map(|m| &m.colors).any(|c| !grey(c.truncate()));
+    sky && !colored_vertices
+        && scene.lights.iter().all(|l| grey(l.intensity))
+        && scene.materials.iter().zip(used).filter(|(_, used)| **used).all(|(m, _)| {
+            grey(m.base_color.truncate())
+                && grey(m.emission)
+                && texture(&m.base_color_texture)
+                && texture(&m.emissive_texture)
+        })
+}
+
+/// `Ok(what it does)`, or `Err(why it is left out)`.
+fn decide(stage: Stage, facts: &Facts, settings: &Settings) -> Result<String, String> {
+    let lit = facts.has_direct() || facts.sky;
+    let yes = |reason: &str| Ok(reason.to_owned());
+    let no = |reason: &str| Err(reason.to_owned());
+    if stage == Stage::Import {
+        return Ok(format!("{} triangles in {} instances", facts.triangles, facts.instances));
+    }
+    if facts.receivers == 0 && stage != Stage::Export {
+        return no("nothing in the scene receives a lightmap");
+    }
+    match stage {
+        Stage::Import | Stage::Export => yes("images, glTF and report"),
+        Stage::Unwrap => Ok(format!("{} instances receive light", facts.receivers)),
+        Stage::Finish => yes("fills buried and unused texels, stitches seams"),
+        Stage::Preview => yes("a picture of the result"),
+        _ if !lit => no("the scene has no light"),
+        Stage::Rays if facts.passable => yes("some surfaces have holes or let light through"),
+        Stage::Rays => yes("every surface is solid: no material is looked up along a ray"),
+        Stage::Direct if settings.only == Only::Indirect => no("only indirect light is wanted"),
+        Stage::Direct if !facts.has_direct() => no("the sky is the only light"),
+        Stage::Direct => Ok(facts.sources()),
+        Stage::Sky if !facts.sky => no("there is no sky"),
+        Stage::Sky if settings.only == Only::Direct => no("only direct light is wanted"),
+        Stage::Sky => Ok(format!("{} rays per texel", settings.sky_rays.0)),
+        _ if settings.only == Only::Direct => no("only direct light is wanted"),
+        _ if facts.black => no("no surface reflects light"),
+        Stage::Surfels => Ok(match settings.voxels {
+            Voxels::Budget(n) => format!("about {n} surfels"),
+            Voxels::Side(n) => format!("{n} voxels along the longest side"),
+            Voxels::Edge(e) => format!("voxels of {e} scene units"),
+        }),
+        Stage::Shoot if !facts.has_direct() => no("the sky is the only light, and it arrives with the sweep"),
+        Stage::Shoot if settings.photons.0 > 0 => Ok(format!("{} photons", settings.photons.0)),
+        Stage::Shoot => Ok(format!("light of {} at every surfel", facts.sources())),
+        Stage::Propagate => Ok(format!(
+            "{} directions, halved at every bounce, {}",
+            settings.directions.0,
+            if facts.grey { "one band: everything is grey" } else { "three bands" }
+        )),
+        Stage::Cache => yes("octree of the light at surfels"),
+        Stage::Gather => Ok(match settings.gather_mode() {
+            GatherMode::Lookup => "looked up in the cache".into(),
+            GatherMode::Final => format!("{} rays per texel", settings.gather_rays.0),
+            GatherMode::Lightcuts | GatherMode::Auto => {
+                format!("lightcuts to {} % of a texel's light", f64::from(settings.cut_error.0) * 100.0)
+            }
+        }),
+    }
+}
+
+/// Bytes per unit: measured sizes of the structures, rounded up.
+const RAY_TRIANGLE: u64 = 160;
+const SURFEL: u64 = 150;
+const TEXEL: u64 = 64;
+const PIXEL: u64 = 32;
+
+fn memory(facts: &Facts, scene: &Scene, settings: &Settings, runs: &dyn Fn(Stage) -> bool) -> Memory {
+    let side = u64::from(settings.size.0);
+    // Whole atlases; charts fill about three quarters of one.
+    let pixels = match settings.texel_density.0 {
+        Some(density) => {
+            let texels = facts.area * f64::from(density) * f64::from(density) / 0.75;
+            (texels as u64).div_ceil(side * side).max(1) * side * side
+        }
+        None => side * side,
+    };
+    let surfels = match settings.voxels {
+        Voxels::Budget(n) => u64::from(n),
+        Voxels::Side(n) => patches(facts, longest_side(scene) / f64::from(n)),
+        Voxels::Edge(edge) => patches(facts, f64::from(edge)),
+    };
+    let when = |stage, bytes| if runs(stage) { bytes } else { 0 };
+    Memory {
+        rays: when(Stage::Rays, facts.triangles as u64 * RAY_TRIANGLE),
+        surfels: when(Stage::Surfels, surfels * SURFEL),
+        texels: when(Stage::Unwrap, pixels * 3 / 4 * TEXEL),
+        images: when(Stage::Finish, pixels * PIXEL),
+    }
+}
+
+/// Surfels of edge `edge` on the scene's area; a plane cuts about 1.5 times as many voxels as its area would fill.
+fn patches(facts: &Facts, edge: f64) -> u64 {
+    if edge > 0.0 { (1.5 * facts.area / (edge * edge)) as u64 } else { 0 }
+}
+
+fn longest_side(scene: &Scene) -> f64 {
+    scene.bounds().map_or(0.0, |(lo, hi)| (hi - lo).max_element())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::Vec3;
+    use luxel_scene::{Sky, build::Builder};
+
+    fn room(albedo: Vec3, radiance: Vec3) -> Scene {
+        let mut b = Builder::new("room");
+        let wall = b.matte(albedo);
+        let lamp = b.emitter(Vec3::splat(0.5), radiance);
+        b.cuboid("shell", Vec3::ZERO, Vec3::ONE, wall, true);
+        b.quad("lamp", Vec3::new(0.4, 0.9, 0.4), Vec3::X * 0.2, Vec3::Z * 0.2, lamp);
+        b.build()
+    }
+
+    fn left_out(plan: &Plan) -> Vec<Stage> {
+        plan.steps.iter().filter(|s| !s.runs).map(|s| s.stage).collect()
+    }
+
+    #[test]
+    fn a_lit_room_needs_everything_but_a_sky() {
+        let plan = Plan::new(&room(Vec3::splat(0.5), Vec3::ONE), &Settings::default());
+        assert_eq!(left_out(&plan), [Stage::Sky]);
+        assert!(plan.facts.grey && !plan.facts.black && !plan.facts.passable);
+        assert!((plan.facts.area - 6.04).abs() < 1e-5, "{}", plan.facts.area);
+        assert!(plan.reason(Stage::Propagate).contains("one band"));
+        assert!(plan.memory.total() > plan.memory.texels && plan.memory.texels > 0);
+    }
+
+    #[test]
+    fn without_light_nothing_is_transported() {
+        let plan = Plan::new(&room(Vec3::splat(0.5), Vec3::ZERO), &Settings::default());
+        use Stage::*;
+        assert_eq!(left_out(&plan), [Rays, Surfels, Shoot, Propagate, Cache, Direct, Sky, Gather]);
+        assert!(plan.runs(Unwrap) && plan.runs(Export), "a dark scene still gets its black lightmap");
+        assert_eq!(plan.memory.surfels, 0);
+    }
+
+    #[test]
+    fn a_scene_under_the_sky_alone_has_no_direct_light() {
+        let mut scene = room(Vec3::splat(0.5), Vec3::ZERO);
+        scene.sky = Sky::Constant(Vec3::new(1.0, 1.0, 2.0));
+        let plan = Plan::new(&scene, &Settings::default());
+        assert_eq!(left_out(&plan), [Stage::Shoot, Stage::Direct]);
+        assert!(!plan.facts.grey);
+    }
+
+    #[test]
+    fn black_walls_do_not_bounce() {
+        let mut scene = room(Vec3::ZERO, Vec3::ONE);
+        scene.materials[1].base_color = Vec3::ZERO.extend(1.0);
+        let plan = Plan::new(&scene, &Settings::default());
+        use Stage::*;
+        assert_eq!(left_out(&plan), [Surfels, Shoot, Propagate, Cache, Sky, Gather]);
+        assert!(plan.reason(Propagate).contains("reflects"));
+    }
+
+    #[test]
+    fn what_is_not_wanted_is_not_computed() {
+        let scene = room(Vec3::splat(0.5), Vec3::ONE);
+        let only = |only| Plan::new(&scene, &Settings { only, ..Settings::default() });
+        use Stage::*;
+        assert_eq!(left_out(&only(Only::Direct)), [Surfels, Shoot, Propagate, Cache, Sky, Gather]);
+        assert_eq!(left_out(&only(Only::Indirect)), [Direct, Sky]);
+    }
+
+    #[test]
+    fn an_empty_scene_exports_and_nothing_else() {
+        let plan = Plan::new(&Scene::default(), &Settings::default());
+        let runs: Vec<Stage> = plan.steps.iter().filter(|s| s.runs).map(|s| s.stage).collect();
+        assert_eq!(runs, [Stage::Import, Stage::Export]);
+    }
+
+    #[test]
+    fn unlit_and_unused_things_do_not_count() {
+        let mut scene = room(Vec3::splat(0.5), Vec3::ONE);
+        scene.materials[1].unlit = true;
+        assert_eq!(Plan::new(&scene, &Settings::default()).facts.emissive_triangles, 0);
+        scene.materials[1].unlit = false;
+        scene.instances[1].casts = false;
+        scene.instances[1].receives = false;
+        scene.materials[1].base_color.x = 0.9;
+        let facts = Plan::new(&scene, &Settings::default()).facts;
+        assert!(facts.emissive_triangles == 0 && facts.grey);
+    }
+}
