@@ -11,8 +11,8 @@ use glam::{DVec3, Vec3};
 
 use crate::gather::Receiver;
 
-/// Corners of a quad after two clips.
-const MAX_CORNERS: usize = 8;
+/// Corners of a quad after two clips: at most half of them again each time, even where rounding has bent it.
+const MAX_CORNERS: usize = 12;
 
 /// Below this ratio of diameter to distance Gauss points do: their relative error is about a tenth of its fourth power
 /// for parallelograms, measured in the tests, and much less than a texel's worth of light.
