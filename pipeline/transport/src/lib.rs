@@ -6,6 +6,7 @@
 //! | normalise | [`frame`], [`geometry`] | scene → world triangles in a frame of fixed size |
 //! | ray tracing | [`rays`] | geometry → closest hits and transmittances |
 //! | surfels | [`surfel`] | geometry → oriented voxel patches |
+//! | light trees | [`lighttree`] | surfels, emitters → clusters with bounds |
 //! | gather | [`gather`] | receivers → indirect irradiance with a stated bound |
 //!
 //! Invariants: no module here reads a file, a clock or the number of threads to decide a value; the same input

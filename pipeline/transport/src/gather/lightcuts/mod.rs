@@ -4,7 +4,7 @@
 //! E = Σ_C S_C·K(r_C)·V(r_C)  +  (1/N) Σᵢ (Bᵢ − B̄)·wᵢ  +  B̄·F
 //!     clusters of the cut       near field                  constant part
 //!
-//! S_C = Σ_{j∈C} (Bⱼ − B̄)·Aⱼ/π     r_C  representative light, V transmittance of its shadow ray
+//! S_C stands for Σ_{j∈C} (Bⱼ − B̄)·Aⱼ/π     r_C  representative light, V transmittance of its shadow ray
 //! K = min(G, b), b = 1/(3h)²       wᵢ = max(0, 1 − b/Gᵢ) at the hits of N cosine rays (Kollig & Keller 2004)
 //! ```
 //!
@@ -17,7 +17,7 @@
 //! representative chosen by intensity alone was 2 to 5 % too dark, because bright lights are nearer than dark ones.
 //!
 //! **Bound.** With P and M the sums of the positive and negative parts of (Bⱼ − B̄)·Aⱼ/π, the truth of a cluster lies
-//! between −M·K⁺ and P·K⁺, its estimate between 0 and S_C·K⁺. P is bounded by the chord between the cluster's least and
+//! between −M·K⁺ and P·K⁺, its estimate between 0 and S_C·K⁺, the representative's share. P is bounded by the chord between the cluster's least and
 //! largest B (convexity: P is largest when all B lie at the ends). The cut is refined until every
 //! cluster's bound is below the threshold times the running total; [`Gathered::bound`] is the *sum* over the cut, a
 //! certainty about clustering, and many times the typical error. It covers neither the near rays' noise nor that
