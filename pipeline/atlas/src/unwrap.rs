@@ -1,6 +1,6 @@
 //! Meshes to charts: which triangles lie together in one plane patch, and where in it.
 //!
-//! A mesh is cut at its hard edges into smooth parts ([`crate::segment`]). Flat and gently curved parts are simply
+//! A mesh is cut at its hard edges into smooth parts (`segment`). Flat and gently curved parts are simply
 //! projected onto their mean plane: exact, quick, and a wall stays a rectangle. Only truly curved parts go to an
 //! [`Unwrapper`], normalised to unit size and in batches. Every chart that comes back is checked (finite,
 //! not flipped, no overlap, not starved); what fails is projected in groups of similar normals, or, at the
