@@ -26,7 +26,7 @@ pub struct Placed {
     pub page: u32,
     /// For each new vertex the vertex of the mesh that it copies (seams split vertices).
     pub source: Vec<u32>,
-    /// Atlas coordinates of each new vertex in [0,1]², (0,0) the upper left corner of the page.
+    /// Atlas coordinates of each new vertex in \[0, 1\]², (0,0) the upper left corner of the page.
     pub uvs: Vec<Vec2>,
     /// The mesh's triangles, in the mesh's order, over the new vertices.
     pub triangles: Vec<[u32; 3]>,

@@ -15,7 +15,7 @@ use crate::{AtlasError, overlap};
 
 /// A block whose triangles fill so much of its rectangle is packed as one.
 const FULL: f64 = 0.97;
-/// Slack against rounding when texels that a triangle touches are counted [texels]; below the coverage that makes a
+/// Slack against rounding when texels that a triangle touches are counted (texels); below the coverage that makes a
 /// texel.
 const TOUCH: f64 = 1e-7;
 
@@ -50,7 +50,7 @@ pub(crate) struct Block {
 }
 
 impl Block {
-    /// Side lengths in whole texels at a density [texels per scene unit], at least one. A block longer than `limit`
+    /// Side lengths in whole texels at a density (texels per scene unit), at least one. A block longer than `limit`
     /// is scaled down as a whole.
     pub fn texels(&self, density: f64, limit: u32) -> [u32; 2] {
         let density = density.min(f64::from(limit) / self.size.max_element());

@@ -1,7 +1,7 @@
 //! Values per texel to images: buried texels filled, padding dilated, seams stitched.
 //!
 //! Buried (invalid) texels take the mean of valid neighbours of their own chart, ring by ring; padding continues its
-//! chart alike; [`crate::seams`] then moves texels near chart borders so that both sides of a seam read the same.
+//! chart alike; stitching then moves texels near chart borders so that both sides of a seam read the same.
 //! Nothing is ever mixed across charts but along a seam of a continuous surface.
 
 use glam::Vec3;

@@ -105,6 +105,8 @@ struct Sheet {
     longest: Vec<u32>,
     /// Below this row no rectangle of this size fits any more: places only ever fill.
     first_row: HashMap<(u32, u32), u32>,
+    /// Where the last outline of this size ended up: a good row to go on from, if not the lowest possible.
+    last_row: HashMap<(u32, u32), u32>,
 }
 
 impl Sheet {
@@ -120,6 +122,7 @@ impl Sheet {
             free: row.repeat(side as usize),
             longest: vec![side; side as usize],
             first_row: HashMap::new(),
+            last_row: HashMap::new(),
         }
     }
 
@@ -161,10 +164,21 @@ impl Sheet {
                 self.first_row.insert(size, known.max(from));
                 found
             }
-            Some(rows) => (0..=last).find_map(|y| {
-                let hit = self.fits_rows(rows, y, &mut fits, &mut scratch);
-                hit.then(|| first_bit(&fits).map(|x| (x, y))).flatten()
-            }),
+            Some(rows) => {
+                let size = (variant.width, variant.height);
+                let from = self.last_row.get(&size).map_or(0, |row| row.saturating_sub(variant.height));
+                let mut at = |y: u32| {
+                    let hit = self.fits_rows(rows, y, &mut fits, &mut scratch);
+                    hit.then(|| first_bit(&fits).map(|x| (x, y))).flatten()
+                };
+                // The rows below are searched again only before giving up.
+                let below = if ceiling < self.side { 0 } else { from.min(last + 1) };
+                let found = (from..=last).find_map(&mut at).or_else(|| (0..below).find_map(&mut at));
+                if let Some((_, y)) = found {
+                    self.last_row.insert(size, y);
+                }
+                found
+            }
         }
     }
 

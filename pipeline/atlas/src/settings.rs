@@ -9,7 +9,7 @@ pub const MAX_SIZE: u32 = 16384;
 
 #[derive(Clone, Debug, PartialEq)]
 pub struct AtlasSettings {
-    /// Side of a page [texels].
+    /// Side of a page (texels).
     pub size: u32,
     /// Texels per scene unit; None fills one page.
     pub texel_density: Option<f32>,

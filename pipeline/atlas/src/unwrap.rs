@@ -1,6 +1,6 @@
 //! Meshes to charts: which triangles lie together in one plane patch, and where in it.
 //!
-//! A mesh is cut at its hard edges into smooth parts ([`crate::segment`]). Flat and gently curved parts are simply
+//! A mesh is cut at its hard edges into smooth parts (`segment`). Flat and gently curved parts are simply
 //! projected onto their mean plane: exact, quick, and a wall stays a rectangle. Only truly curved parts go to an
 //! [`Unwrapper`], normalised to unit size and in batches. Every chart that comes back is checked (finite,
 //! not flipped, no overlap, not starved); what fails is projected in groups of similar normals, or, at the
@@ -80,7 +80,8 @@ impl Piece {
 }
 
 /// At most so many triangles go to the unwrapper in one piece: chart growing takes more than linear time. On the
-/// Sponza atrium pieces of 1024 took 4.0 s of CPU and gave 4703 charts, pieces of 8192 9 s and 4876.
+/// Sponza atrium (66k triangles) pieces of 1024 gave 4703 charts, unwrapped, packed and finished in 5.0 s of CPU; pieces
+/// of 8192 gave 4876 in 9.9 s.
 const PIECE_LIMIT: usize = 1024;
 /// Longest side of a piece. xatlas drops triangles of less than 1.2e-7 square units, so not too small.
 const PIECE_SIZE: f64 = 8.0;
