@@ -14,8 +14,10 @@ use crate::overlap::{self, Overlap};
 pub const LIGHTMAP_SET: usize = 1;
 /// Exporters round; so much outside [0, 1] is still inside.
 const OUTSIDE: f32 = 1e-4;
-/// UV area over surface area may be so much below the layout's mean before a triangle counts as left out.
+/// UV area over surface area may be so much below the layout's mean before a triangle counts as left out …
 const STARVED: f64 = 1e-6;
+/// … if it has this share of the surface.
+const NOTABLE: f64 = 1e-6;
 
 /// What an authored layout came to.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -72,7 +74,10 @@ fn flaw(meshes: &[&Mesh]) -> Option<String> {
     if area <= 0.0 {
         return Some("TEXCOORD_1 has no area".into());
     }
-    let starved = |i: &usize| overlap::signed_area(&layout[*i]).abs() / area < STARVED * (origin[*i].2 / surface);
+    let starved = |i: &usize| {
+        let share = origin[*i].2 / surface;
+        share > NOTABLE && overlap::signed_area(&layout[*i]).abs() / area < STARVED * share
+    };
     if let Some(i) = (0..layout.len()).find(starved) {
         return Some(format!("triangle {} has no area in TEXCOORD_1", name(i)));
     }

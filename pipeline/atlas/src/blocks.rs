@@ -9,7 +9,7 @@ use crate::authored::LIGHTMAP_SET;
 use crate::charts::NO_CHART;
 use crate::layout::{Layout, Source, Unwraps};
 use crate::mesh::Solid;
-use crate::pack::{Shape, Spans};
+use crate::pack::{Line, Shape, Spans};
 use crate::shape::Stretch;
 use crate::{AtlasError, overlap};
 
@@ -83,21 +83,35 @@ fn unit(p: DVec2, origin: DVec2, extent: DVec2) -> DVec2 {
     ((p - origin) / extent).clamp(DVec2::ZERO, DVec2::ONE)
 }
 
-/// The half-open x span that triangles touch in each of `rows` rows of `width` texels; empty spans are [0, 0).
-fn touched(triangles: impl Iterator<Item = [DVec2; 3]>, rows: u32, width: u32) -> Vec<[u32; 2]> {
-    let mut spans = vec![[u32::MAX, 0]; rows as usize];
+/// The x spans that triangles touch in each of `rows` rows of `width` texels.
+fn touched(triangles: impl Iterator<Item = [DVec2; 3]>, rows: u32, width: u32) -> Vec<Line> {
+    let mut lines: Vec<Line> = vec![Line::new(); rows as usize];
     for t in triangles {
         let (lo, hi) = (t[0].y.min(t[1].y).min(t[2].y), t[0].y.max(t[1].y).max(t[2].y));
         let from = (lo + TOUCH).floor().max(0.0) as u32;
         let to = ((hi - TOUCH).ceil().max(0.0) as u32).min(rows);
         for row in from..to {
             let (x0, x1) = band(&t, row.into(), f64::from(row) + 1.0);
-            let span = &mut spans[row as usize];
-            span[0] = span[0].min((x0 + TOUCH).floor().max(0.0) as u32);
-            span[1] = span[1].max(((x1 - TOUCH).ceil().max(0.0) as u32).min(width));
+            let (a, b) = ((x0 + TOUCH).floor().max(0.0) as u32, ((x1 - TOUCH).ceil().max(0.0) as u32).min(width));
+            if a < b {
+                lines[row as usize].push([a, b]);
+            }
         }
     }
-    spans.into_iter().map(|[a, b]| if a < b { [a, b] } else { [0, 0] }).collect()
+    lines.iter_mut().for_each(join);
+    lines
+}
+
+/// Sorts spans and joins those that touch.
+fn join(line: &mut Line) {
+    line.sort_unstable();
+    line.dedup_by(|next, last| {
+        let touch = next[0] <= last[1];
+        if touch {
+            last[1] = last[1].max(next[1]);
+        }
+        touch
+    });
 }
 
 /// Extent in x of the part of a triangle between two heights.
@@ -119,14 +133,14 @@ fn band(t: &[DVec2; 3], y0: f64, y1: f64) -> (f64, f64) {
 }
 
 /// Spans after growing the shape by `p` in all directions, in a frame that is larger by `p` on every side.
-fn grown(spans: &[[u32; 2]], p: u32) -> Vec<[u32; 2]> {
-    let p = p as usize;
-    (0..spans.len() + 2 * p)
+fn grown(lines: &[Line], p: u32) -> Vec<Line> {
+    let reach = 2 * p as usize;
+    (0..lines.len() + reach)
         .map(|row| {
-            let near = &spans[row.saturating_sub(2 * p)..(row + 1).min(spans.len())];
-            let filled = near.iter().filter(|[a, b]| a < b);
-            let hull = filled.fold([u32::MAX, 0], |[a, b], s| [a.min(s[0]), b.max(s[1])]);
-            if hull[0] < hull[1] { [hull[0], hull[1] + 2 * p as u32] } else { [0, 0] }
+            let near = &lines[row.saturating_sub(reach)..(row + 1).min(lines.len())];
+            let mut line: Line = near.iter().flatten().map(|[a, b]| [*a, b + 2 * p]).collect();
+            join(&mut line);
+            line
         })
         .collect()
 }
@@ -248,11 +262,15 @@ mod tests {
     #[test]
     fn a_triangle_touches_its_rows_and_no_more() {
         let t = [DVec2::ZERO, DVec2::new(4.0, 0.0), DVec2::new(0.0, 4.0)];
-        assert_eq!(touched([t].into_iter(), 5, 8), [[0, 4], [0, 3], [0, 2], [0, 1], [0, 0]]);
+        let expected = [vec![[0, 4]], vec![[0, 3]], vec![[0, 2]], vec![[0, 1]], vec![]];
+        assert_eq!(touched([t].into_iter(), 5, 8), expected);
     }
 
     #[test]
     fn growing_by_one_takes_in_the_neighbours() {
-        assert_eq!(grown(&[[1, 2], [0, 0], [3, 5]], 1), [[1, 4], [1, 4], [1, 7], [3, 7], [3, 7]]);
+        let line = |a, b| vec![[a, b]];
+        let apart = vec![[1, 4], [5, 9]];
+        let expected = [line(1, 4), line(1, 4), apart.clone(), line(5, 9), line(5, 9)];
+        assert_eq!(grown(&[line(1, 2), vec![], line(5, 7)], 1), expected);
     }
 }

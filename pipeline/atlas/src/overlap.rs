@@ -6,8 +6,8 @@ use glam::DVec2;
 const TOLERANCE: f64 = 1e-3;
 /// A pair of triangles may overlap by this share of the smaller one …
 const PAIR_TOLERANCE: f64 = 0.05;
-/// … unless the smaller one is itself below this share of the total area.
-const NEGLIGIBLE: f64 = 1e-6;
+/// … or by this share of the total area: ten texels where the layout fills a page of 1024².
+const NEGLIGIBLE: f64 = 1e-5;
 /// Work allowed: so many steps per triangle, and so many besides.
 const STEPS_PER_TRIANGLE: usize = 256;
 const STEPS: usize = 1 << 20;
@@ -53,7 +53,7 @@ pub(crate) fn check(triangles: &[[DVec2; 3]]) -> Result<(), Overlap> {
                 if area > worst.0 {
                     worst = (area, found);
                 }
-                if area > PAIR_TOLERANCE * smaller && smaller > NEGLIGIBLE * total {
+                if area > PAIR_TOLERANCE * smaller && area > NEGLIGIBLE * total {
                     return Err(found);
                 }
                 if sum > TOLERANCE * total {

@@ -79,8 +79,9 @@ impl Piece {
     }
 }
 
-/// At most so many triangles go to the unwrapper in one piece: chart growing takes more than linear time.
-const PIECE_LIMIT: usize = 8192;
+/// At most so many triangles go to the unwrapper in one piece: chart growing takes more than linear time. On the
+/// Sponza atrium pieces of 1024 took 4.0 s of CPU and gave 4703 charts, pieces of 8192 9 s and 4876.
+const PIECE_LIMIT: usize = 1024;
 /// Longest side of a piece. xatlas drops triangles of less than 1.2e-7 square units, so not too small.
 const PIECE_SIZE: f64 = 8.0;
 /// A batch is one round trip to a worker.

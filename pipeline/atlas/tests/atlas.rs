@@ -3,9 +3,12 @@
 use std::collections::BTreeSet;
 
 use glam::{DAffine3, DVec2, DVec3, Vec3};
-use luxel_atlas::{Atlas, AtlasReport, AtlasSettings, InProcess, build};
+use luxel_atlas::unwrap::{Answers, Piece, PieceCharts};
+use luxel_atlas::{
+    Atlas, AtlasError, AtlasReport, AtlasSettings, InProcess, Layout, UnwrapError, Unwrapper, Unwraps, assemble, build,
+};
 use luxel_scene::build::Builder;
-use luxel_scene::{Mesh, Scene, Silent};
+use luxel_scene::{Mesh, Progress, Scene, Silent};
 use proptest::prelude::*;
 
 fn baked(scene: &Scene, size: u32) -> (Atlas, AtlasReport) {
@@ -339,6 +342,108 @@ fn what_receives_nothing_takes_no_room() {
     let (atlas, report) = baked(&scene, 64);
     assert_eq!((atlas.pages.len(), atlas.charts.len(), report.pages), (0, 0, 0));
     assert!(atlas.placed.iter().all(Option::is_none));
+}
+
+/// An unwrapper that answers every piece alike.
+struct Liar(fn(&Piece) -> Result<PieceCharts, String>);
+
+impl Unwrapper for Liar {
+    fn unwrap(&self, pieces: &[Piece]) -> Result<Answers, UnwrapError> {
+        Ok(pieces.iter().map(self.0).collect())
+    }
+}
+
+/// Every triangle of the piece at the same place of one chart.
+fn one_chart(piece: &Piece, uv: [[f32; 2]; 3]) -> Result<PieceCharts, String> {
+    let n = piece.triangles.len();
+    Ok(PieceCharts { chart_of: vec![0; n], uvs: vec![uv; n] })
+}
+
+#[test]
+fn whatever_the_unwrapper_answers_the_atlas_is_sound() {
+    let mut b = Builder::new("sphere");
+    b.sphere("sphere", Vec3::ZERO, 1.0, 10, 0, false);
+    let scene = b.build();
+    let stacked = Liar(|p| one_chart(p, [[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]));
+    let flat = Liar(|p| one_chart(p, [[0.0, 0.0], [1.0, 0.0], [2.0, 0.0]]));
+    let broken = Liar(|p| one_chart(p, [[f32::NAN, 0.0], [f32::INFINITY, 0.0], [0.0, 1.0]]));
+    let flattened = Liar(|p| {
+        // The sphere seen from the side: its back folds over its front.
+        let at = |i: u32| [p.positions[i as usize][0], p.positions[i as usize][1]];
+        Ok(PieceCharts { chart_of: vec![0; p.triangles.len()], uvs: p.triangles.iter().map(|t| t.map(at)).collect() })
+    });
+    let short = Liar(|_| Ok(PieceCharts::default()));
+    let silent = Liar(|p| {
+        Ok(PieceCharts { chart_of: vec![u32::MAX; p.triangles.len()], uvs: vec![[[0.0; 2]; 3]; p.triangles.len()] })
+    });
+    let failing = Liar(|_| Err("it died".into()));
+    let settings = AtlasSettings { size: 128, ..AtlasSettings::default() };
+    for (liar, word) in [
+        (stacked, "overlaps"),
+        (flat, "no area"),
+        (broken, "not finite"),
+        (flattened, "folds over"),
+        (short, "lost"),
+        (silent, "left triangles out"),
+        (failing, "it died"),
+    ] {
+        let (atlas, report) = build(&scene, &settings, &liar, &Silent).expect(word);
+        check(&scene, &atlas, 2);
+        assert_eq!(report.fallbacks.len(), 1);
+        let (name, why, triangles) = &report.fallbacks[0];
+        assert!(why.contains(word) && name == "sphere", "{why} {word}");
+        assert_eq!(*triangles as usize, scene.meshes[0].triangles.len());
+    }
+}
+
+#[test]
+fn stored_unwraps_are_used_and_foreign_ones_refused() {
+    let scene = cornell();
+    let settings = AtlasSettings { size: 64, ..AtlasSettings::default() };
+    let (fresh, _) = build(&scene, &settings, &InProcess, &Silent).unwrap();
+    let layout = Layout::new(&scene);
+    let mut unwraps = Unwraps::new();
+    let empty = assemble(&scene, &settings, &layout, &unwraps, &Silent);
+    assert_eq!(empty.map(|_| ()), Err(AtlasError::MissingUnwrap));
+    layout.complete(&scene, &mut unwraps, &InProcess, &Silent).unwrap();
+    let config = bincode::config::standard().with_limit::<1_000_000>();
+    let bytes = bincode::serde::encode_to_vec(&unwraps, config).unwrap();
+    let (mut stored, _): (Unwraps, usize) = bincode::serde::decode_from_slice(&bytes, config).unwrap();
+    let (again, _) = assemble(&scene, &settings, &layout, &stored, &Silent).unwrap();
+    assert_eq!(format!("{fresh:?}"), format!("{again:?}"));
+    stored.values_mut().next().unwrap().triangles[0][0] = 1_000_000;
+    let error = assemble(&scene, &settings, &layout, &stored, &Silent).map(|_| ()).unwrap_err();
+    assert!(matches!(error, AtlasError::ForeignUnwrap { .. }), "{error}");
+}
+
+#[test]
+fn a_cancelled_bake_stops() {
+    struct Overtaken;
+    impl Progress for Overtaken {
+        fn begin(&self, _: &'static str, _: u64) {}
+        fn advance(&self, _: u64) {}
+        fn is_cancelled(&self) -> bool {
+            true
+        }
+    }
+    let error = build(&cornell(), &AtlasSettings::default(), &InProcess, &Overtaken).map(|_| ()).unwrap_err();
+    assert!(matches!(error, AtlasError::Cancelled(_)));
+}
+
+#[test]
+fn settings_out_of_range_are_named() {
+    let says = |settings: AtlasSettings, word: &str| {
+        let error = build(&cornell(), &settings, &InProcess, &Silent).map(|_| ()).unwrap_err();
+        assert!(error.to_string().contains(word), "{error}");
+    };
+    says(AtlasSettings { size: 4, ..AtlasSettings::default() }, "size of a page");
+    says(AtlasSettings { size: 1 << 20, ..AtlasSettings::default() }, "size of a page");
+    says(AtlasSettings { padding: 1, ..AtlasSettings::default() }, "padding");
+    says(AtlasSettings { texel_density: Some(-1.0), ..AtlasSettings::default() }, "density");
+    let mut scene = cornell();
+    scene.instances[1].texel_scale = 0.0;
+    let error = build(&scene, &AtlasSettings::default(), &InProcess, &Silent).map(|_| ()).unwrap_err();
+    assert!(error.to_string().contains("block"), "{error}");
 }
 
 proptest! {

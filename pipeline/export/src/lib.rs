@@ -2,7 +2,7 @@
 //!
 //! | product | module | unit of its texels |
 //! |---|---|---|
-//! | `level.lightmap.exr`, `level.bound.exr` | [`openexr`] | E [lux] |
+//! | `level.lightmap.exr`, `level.bound.exr` | [`openexr`] | E (lux) |
 //! | `level.glb` | [`gltf`] | E / intensity, 8 bit |
 //! | `level.preview.png` | [`tonemap`], [`png`] | sRGB display light |
 //! | `level.bake.json` | [`report`] | |
@@ -25,7 +25,7 @@ pub use error::ExportError;
 pub use gltf::{Glb, Original};
 pub use lightmap::{BoundMap, Lightmap, sample_lightmap};
 pub use openexr::{Depth, write_exr};
-pub use output::{Files, OutputSet};
+pub use output::{Files, OutputSet, is_output};
 pub use png::{Image8, encode_png, write_png};
 pub use report::Report;
 pub use tonemap::ToneMap;

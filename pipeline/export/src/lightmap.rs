@@ -7,7 +7,7 @@ use crate::ExportError;
 /// Largest side of a page in texels; atlas texels carry 16-bit coordinates.
 pub const MAX_SIDE: u32 = 1 << 16;
 
-/// Irradiance E [lux] of one atlas page: linear RGB, row-major, row 0 at v = 0.
+/// Irradiance E (lux) of one atlas page: linear RGB, row-major, row 0 at v = 0.
 ///
 /// Invariant: every value is finite and not negative, and the sizes agree. Only [`Lightmap::new`] makes one, so no
 /// writer can meet a NaN.
@@ -19,7 +19,7 @@ pub struct Lightmap {
     coverage: Vec<f32>,
 }
 
-/// The stated error bound of one atlas page [lux], one band, laid out as the page. The same invariant holds.
+/// The stated error bound of one atlas page (lux), one band, laid out as the page. The same invariant holds.
 #[derive(Clone, Debug, PartialEq)]
 pub struct BoundMap {
     width: u32,
@@ -52,7 +52,7 @@ impl Lightmap {
         self.height
     }
 
-    /// E [lux], row-major.
+    /// E (lux), row-major.
     pub fn irradiance(&self) -> &[Vec3] {
         &self.irradiance
     }
@@ -62,7 +62,7 @@ impl Lightmap {
         &self.coverage
     }
 
-    /// Bilinear E [lux] at `uv` ((0,0) is the upper left corner), clamped at the page's border as engines sample it.
+    /// Bilinear E (lux) at `uv` ((0,0) is the upper left corner), clamped at the page's border as engines sample it.
     pub fn sample(&self, uv: Vec2) -> Vec3 {
         let uv = Vec2::new(clamp01(uv.x), clamp01(uv.y));
         let p = uv * Vec2::new(self.width as f32, self.height as f32) - 0.5;
@@ -102,7 +102,7 @@ impl BoundMap {
     }
 }
 
-/// Bilinear E [lux] on a page of a set of pages; zero where there is no such page.
+/// Bilinear E (lux) on a page of a set of pages; zero where there is no such page.
 pub fn sample_lightmap(pages: &[Lightmap], page: u32, uv: Vec2) -> Vec3 {
     pages.get(page as usize).map_or(Vec3::ZERO, |p| p.sample(uv))
 }

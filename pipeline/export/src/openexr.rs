@@ -1,6 +1,6 @@
 //! Lightmaps as OpenEXR: the master copy, E in lux without loss.
 //!
-//! Layout: channels R, G, B (irradiance E [lux], linear Rec. 709) and A (coverage), row 0 at v = 0, ZIP-compressed
+//! Layout: channels R, G, B (irradiance E (lux), linear Rec. 709) and A (coverage), row 0 at v = 0, ZIP-compressed
 //! scan lines in increasing order. Attributes: `software`, `luxel:unit`, `luxel:key` (the hash of what went into the
 //! bake). There is no date, so the same light gives the same bytes.
 
@@ -31,7 +31,7 @@ pub fn encode_exr(map: &Lightmap, depth: Depth, key: &str) -> Result<Vec<u8>, Ex
     encode(map.width(), map.height(), channels.into(), depth, key)
 }
 
-/// The bytes of a bound image as EXR, one channel Y [lux].
+/// The bytes of a bound image as EXR, one channel Y (lux).
 pub fn encode_bound_exr(map: &BoundMap, depth: Depth, key: &str) -> Result<Vec<u8>, ExportError> {
     encode(map.width(), map.height(), vec![("Y", map.bound().to_vec())], depth, key)
 }

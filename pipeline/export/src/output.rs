@@ -1,6 +1,9 @@
 //! Where the files of a bake go, what they are called, and in which order they appear.
 
-use std::path::{Path, PathBuf};
+use std::{
+    borrow::Cow,
+    path::{Path, PathBuf},
+};
 
 use crate::{
     BoundMap, Depth, ExportError, Lightmap,
@@ -11,6 +14,9 @@ use crate::{
 
 /// Folder beside a scene that receives its outputs unless another is named.
 pub const DEFAULT_FOLDER: &str = "baked";
+
+/// No report is larger than this.
+const MAX_REPORT: u64 = 64 << 20;
 
 /// The names of all files of one bake.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -113,17 +119,17 @@ impl OutputSet {
     /// page numbers are removed last.
     pub fn write(&self, files: &Files, report: &mut Report) -> Result<(), ExportError> {
         let pages = files.lightmaps.len();
-        let mut ready = Vec::new();
+        let mut ready: Vec<(PathBuf, Cow<[u8]>)> = Vec::new();
         for (i, map) in files.lightmaps.iter().enumerate() {
-            ready.push((self.lightmap(i, pages), encode_exr(map, files.depth, files.key)?));
+            ready.push((self.lightmap(i, pages), encode_exr(map, files.depth, files.key)?.into()));
         }
         for (i, map) in files.bounds.iter().enumerate() {
-            ready.push((self.bound(i, pages), encode_bound_exr(map, files.depth, files.key)?));
+            ready.push((self.bound(i, pages), encode_bound_exr(map, files.depth, files.key)?.into()));
         }
         if let Some(png) = files.preview_png {
-            ready.push((self.preview(), png.to_vec()));
+            ready.push((self.preview(), png.into()));
         }
-        ready.push((self.glb(), files.glb.to_vec()));
+        ready.push((self.glb(), files.glb.into()));
         report.outputs = ready.iter().map(|(path, bytes)| output(path, bytes)).collect();
         let json = report.to_json()?;
         let names: Vec<&PathBuf> = ready.iter().map(|(path, _)| path).collect();
@@ -170,6 +176,18 @@ impl OutputSet {
             })
         })
     }
+}
+
+/// The .glb at `path` came out of a bake: the report beside it names it. Scans of a folder pass such files over.
+pub fn is_output(path: &Path) -> bool {
+    let stem = path.file_stem().and_then(|s| s.to_str());
+    let Some(report) = stem.map(|s| path.with_file_name(format!("{s}.bake.json"))) else { return false };
+    let small = |m: std::fs::Metadata| m.is_file() && m.len() <= MAX_REPORT;
+    if !std::fs::metadata(&report).is_ok_and(small) {
+        return false;
+    }
+    let read = std::fs::read(&report).ok().and_then(|bytes| serde_json::from_slice::<Report>(&bytes).ok());
+    read.is_some_and(|r| r.outputs.iter().any(|o| path.file_name().is_some_and(|n| n == o.path.as_str())))
 }
 
 fn output(path: &Path, bytes: &[u8]) -> Output {
@@ -251,6 +269,12 @@ mod tests {
         }
         let read: Report = serde_json::from_slice(&fs::read(set.report()).unwrap()).unwrap();
         assert_eq!(read, report);
+        assert!(is_output(&set.glb()));
+        assert!(!is_output(&dir.path().join("level.glb")));
+        fs::rename(set.glb(), set.folder().join("own.glb")).unwrap();
+        assert!(!is_output(&set.folder().join("own.glb")));
+        fs::write(set.report(), b"{}").unwrap();
+        assert!(!is_output(&set.glb()));
     }
 
     #[test]

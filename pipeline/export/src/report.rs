@@ -116,13 +116,13 @@ pub struct Table1 {
     pub continuous_rays_per_second: f64,
     /// "Rays/sec (discrete)".
     pub discrete_rays_per_second: f64,
-    /// "Propagation Time": shooting and propagation [s].
+    /// "Propagation Time": shooting and propagation (s).
     pub propagation_seconds: f64,
-    /// "Linear method Time": the discrete sweeps alone [s].
+    /// "Linear method Time": the discrete sweeps alone (s).
     pub linear_method_seconds: f64,
-    /// "Reconstruction Time": the gather [s].
+    /// "Reconstruction Time": the gather (s).
     pub reconstruction_seconds: f64,
-    /// "Overall Time" [s].
+    /// "Overall Time" (s).
     pub overall_seconds: f64,
     /// Discrete over continuous rays per second; the paper has 36 and 75.
     pub discrete_over_continuous: f64,
@@ -187,7 +187,10 @@ impl Report {
     pub fn to_json(&self) -> Result<Vec<u8>, ExportError> {
         let value = serde_json::to_value(self).map_err(|e| ExportError::encode("the report", e))?;
         if let Some(place) = null_in(&value) {
-            return Err(ExportError::encode("the report", format!("{place} is not a number")));
+            return Err(ExportError::encode(
+                "the report",
+                format!("{place} is null: no number, or a setting without value"),
+            ));
         }
         let mut bytes = serde_json::to_vec_pretty(&value).map_err(|e| ExportError::encode("the report", e))?;
         bytes.push(b'\n');

@@ -1,33 +1,38 @@
 //! Averages of an image over squares of 2, 4, 8… texels, in linear light.
 //!
 //! Texel i of level k covers the base texels [i·2ᵏ, (i+1)·2ᵏ) of its axis; the last one covers what is left, so odd
-//! sizes need no resampling. Levels hold four floats per texel, together a third more than the 8-bit image itself
-//! takes times four; they are built when a texture is first averaged over more than a few texels.
+//! sizes need no resampling. Levels hold four floats per texel, which together take a third more memory than the 8-bit
+//! image; they are built when a texture is first averaged over more than a few texels.
 
 use std::sync::OnceLock;
 
 use glam::Vec4;
 
 use crate::texture::Weighted;
-use crate::{Texture, Wrap};
+use crate::{AlphaUse, Texture, Wrap};
 
-/// A pyramid that is built on first use, by whichever thread comes first; the result is the same.
-#[derive(Clone, Debug, Default)]
-pub struct LazyPyramid(OnceLock<Pyramid>);
+/// Averages of one texture in one use of its alpha. They are made on first use, by whichever thread comes first (the
+/// result is the same); the texture must not change after that.
+#[derive(Default)]
+pub struct Averages(OnceLock<Pyramid>);
 
-impl LazyPyramid {
-    pub(crate) fn get(&self, texture: &Texture) -> &Pyramid {
-        self.0.get_or_init(|| Pyramid::build(texture))
+impl Averages {
+    pub(crate) fn get(&self, texture: &Texture, alpha: AlphaUse) -> &Pyramid {
+        self.0.get_or_init(|| Pyramid::build(texture, alpha))
+    }
+}
+
+impl std::fmt::Debug for Averages {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(if self.0.get().is_some() { "Averages(made)" } else { "Averages(not yet made)" })
     }
 }
 
 /// Levels 1, 2, … of an image, down to a single texel.
-#[derive(Clone, Debug, Default)]
 pub(crate) struct Pyramid {
     levels: Vec<Level>,
 }
 
-#[derive(Clone, Debug)]
 struct Level {
     width: u32,
     height: u32,
@@ -35,10 +40,10 @@ struct Level {
 }
 
 impl Pyramid {
-    fn build(texture: &Texture) -> Self {
-        let tested = |value: Vec4| match texture.cutoff {
-            Some(cutoff) => value.truncate().extend(f32::from(u8::from(value.w >= cutoff))),
-            None => value,
+    fn build(texture: &Texture, alpha: AlphaUse) -> Self {
+        let tested = |value: Vec4| match alpha {
+            AlphaUse::Test(cutoff) => value.truncate().extend(f32::from(u8::from(value.w >= cutoff))),
+            AlphaUse::Ignored | AlphaUse::Coverage => value,
         };
         let mut levels: Vec<Level> = Vec::new();
         let (mut width, mut height, mut side) = (texture.width, texture.height, 1u32);
@@ -54,7 +59,7 @@ impl Pyramid {
             let mut texels = Vec::with_capacity(w as usize * h as usize);
             for y in 0..h {
                 for x in 0..w {
-                    let mut sum = Weighted::default();
+                    let mut sum = Weighted::new(alpha);
                     for j in 2 * y..(2 * y + 2).min(height) {
                         for i in 2 * x..(2 * x + 2).min(width) {
                             let weight = covered(i, texture.width) * covered(j, texture.height);

@@ -164,7 +164,8 @@ fn the_whole_scene_is_read() {
     // Quad: two triangles and a strip of two; fan of two, twice.
     assert_eq!(scene.triangle_count(), 8, "{:?}", scene.notices);
     assert_eq!((scene.meshes.len(), scene.instances.len(), scene.materials.len()), (3, 4, 3));
-    assert_eq!((scene.lights.len(), scene.cameras.len(), scene.textures.len()), (1, 1, 2));
+    assert_eq!((scene.lights.len(), scene.cameras.len()), (1, 1));
+    assert_eq!(scene.textures.len(), 1, "two materials share one image");
     assert_eq!(scene.materials[1].emission, glam::Vec3::new(10.0, 5.0, 2.5));
     assert_eq!(scene.meshes[1].positions[3], glam::Vec3::new(1.5, 1.5, 0.0), "sparse");
     assert_eq!(scene.meshes[0].colors[0], glam::Vec4::new(1.0, 128.0 / 255.0, 0.0, 1.0));
@@ -248,6 +249,28 @@ fn images_that_nothing_needs_are_not_decoded() {
         {"pbrMetallicRoughness": {"metallicFactor": 0, "metallicRoughnessTexture": {"index": 0}}}, {}]);
     let scene = import_json(&document, &bin).unwrap();
     assert!(scene.textures.is_empty());
+}
+
+#[test]
+fn material_extensions_and_defaults() {
+    let (mut document, bin) = everything();
+    document["materials"] = json!([
+        {"name": "Old", "extensions": {"KHR_materials_pbrSpecularGlossiness":
+            {"diffuseFactor": [0.5, 0.25, 0.125, 1], "diffuseTexture": {"index": 0}}}},
+        {"name": "Chrome", "pbrMetallicRoughness": {"roughnessFactor": 0.5, "metallicRoughnessTexture": {"index": 0}}}]);
+    document["meshes"][1]["primitives"][0].as_object_mut().unwrap().remove("material");
+    let path = std::env::temp_dir().join(format!("luxel-materials-{}.glb", std::process::id()));
+    std::fs::write(&path, glb(&document, &bin)).unwrap();
+    let scene = load(&path, &ImportOptions { metal_diffuse: 0.25, ..ImportOptions::default() }).unwrap();
+    std::fs::remove_file(&path).unwrap();
+    let [old, chrome, none] = &scene.materials[..] else { panic!("{:?}", scene.materials) };
+    assert_eq!((old.base_color, old.metallic), (glam::Vec4::new(0.5, 0.25, 0.125, 1.0), 0.0));
+    assert!(old.base_color_texture.is_some());
+    assert_eq!((chrome.metallic, chrome.roughness, chrome.metal_diffuse), (1.0, 0.5, 0.25));
+    let (color, data) = (&scene.textures[0], &scene.textures[1]);
+    assert!(color.srgb && !data.srgb && color.texels == data.texels, "one image in two encodings");
+    assert_eq!((none.base_color.x, none.metal_diffuse), (0.8, 0.25));
+    assert_eq!(scene.notices.iter().filter(|n| n.code == "no-material").count(), 1);
 }
 
 #[test]

@@ -1,6 +1,6 @@
 //! Direct light per texel: shafts against shadow rays, on one thread.
 //!
-//! `cargo bench -p luxel-transport --bench direct` times both ways; the error of every way against 4096 rays per light
+//! `cargo bench -p luxel-transport --bench direct` times both ways; the error of every way against 1024 rays per light
 //! is printed first, in per cent of the mean direct light.
 
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
@@ -84,8 +84,8 @@ fn run(rays: &Rays, emitters: &Emitters, receivers: &[Receiver], samples: u32, v
 }
 
 fn report(name: &str, rays: &Rays, emitters: &Emitters, receivers: &[Receiver]) {
-    let few: Vec<_> = receivers.iter().step_by(receivers.len() / 500 + 1).copied().collect();
-    let exact = run(rays, emitters, &few, 4096, Visibility::Rays);
+    let few: Vec<_> = receivers.iter().step_by(receivers.len() / 60 + 1).copied().collect();
+    let exact = run(rays, emitters, &few, 1024, Visibility::Rays);
     let mean = exact.iter().sum::<f32>() / exact.len() as f32;
     for (what, samples, visibility) in [
         ("shafts 64", 64, Visibility::Shafts),

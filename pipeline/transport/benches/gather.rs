@@ -6,12 +6,17 @@ mod common;
 
 use std::time::Instant;
 
-use common::{receivers, surfels};
+use common::{charts, receivers, surfels};
 use glam::Vec3;
 use luxel_scene::{Scene, Silent, build::Builder};
 use luxel_transport::{
     Rgb,
-    gather::{Field, FinalGather, Gather, Gathered, Lightcuts, Lookup, Receiver, lightcuts::Settings, refresh},
+    gather::{
+        Field, FinalGather, Gather, Gathered, Lightcuts, Lookup, Receiver,
+        lightcuts::Settings,
+        nodes::{Cell, NodeSettings, interpolate},
+        refresh,
+    },
     geometry::Geometry,
     lighttree::LightTree,
     rays::Rays,
@@ -147,6 +152,25 @@ fn report(scene: &Scene, n: u32) {
         print(&cuts(threshold, near), &truth.result);
     }
     print(&truth, &truth.result);
+    for (name, gather) in [
+        ("final gather 256", &FinalGather::new(&field, 256) as &dyn Gather),
+        ("lightcuts", &Lightcuts::new(&field, Settings::default())),
+    ] {
+        nodes(name, gather, &FinalGather::new(&field, 4096), &charts(&geometry, 5, 96));
+    }
+}
+
+/// A mode at nodes only, over charts of the walls: time a texel, and the error at some of all texels.
+fn nodes(name: &str, gather: &dyn Gather, truth: &dyn Gather, (receivers, cells): &(Vec<Receiver>, Vec<Cell>)) {
+    let start = Instant::now();
+    let found = interpolate(gather, NodeSettings::default(), receivers, cells, &Silent).unwrap();
+    let micros = start.elapsed().as_secs_f64() * 1e6 / receivers.len() as f64;
+    let some = |i: &usize| i.is_multiple_of(37);
+    let result = (0..receivers.len()).filter(some).map(|i| found.light[i]).collect();
+    let tested: Vec<Receiver> = (0..receivers.len()).filter(some).map(|i| receivers[i]).collect();
+    let share = 100 * found.nodes / receivers.len();
+    let row = Row { name: format!("{name}, {share} % nodes"), micros, result };
+    print(&row, &truth.gather(&tested, &Silent).unwrap());
 }
 
 fn main() {

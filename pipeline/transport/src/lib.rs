@@ -6,6 +6,7 @@
 //! | normalise | [`frame`], [`geometry`] | scene → world triangles in a frame of fixed size |
 //! | ray tracing | [`rays`] | geometry → closest hits and transmittances |
 //! | surfels | [`surfel`] | geometry → oriented voxel patches |
+//! | light trees | [`lighttree`] | surfels, emitters → clusters with bounds |
 //! | gather | [`gather`] | receivers → indirect irradiance with a stated bound |
 //! | reference | [`reference`] | receivers → irradiance with its standard error |
 //! | validity | [`validity`] | receivers → which of them are inside geometry |

@@ -83,9 +83,12 @@ impl Emitters {
     }
 }
 
-/// Negative or non-finite bands become dark.
+/// Brighter than anything, and still far from the end of f32 when lights add up.
+pub(crate) const BRIGHTEST: f32 = 1e30;
+
+/// Negative or non-finite bands become dark, absurd ones [`BRIGHTEST`].
 pub(crate) fn sane(light: Vec3) -> Rgb {
-    Rgb::from_array(light.to_array().map(|x| if x.is_finite() { x.max(0.0) } else { 0.0 }))
+    Rgb::from_array(light.to_array().map(|x| if x.is_finite() { x.clamp(0.0, BRIGHTEST) } else { 0.0 }))
 }
 
 /// A hash of a name, eight bytes at a time.

@@ -218,6 +218,10 @@ impl<'a> Rays<'a> {
 
     /// The share of light that passes along `direction` (unit) within `[0, max)`: 1 where nothing is in the way.
     pub fn transmittance(&self, origin: Vec3, direction: Vec3, max: f32) -> Rgb {
+        if self.all_solid {
+            let missed = self.traverse_any(origin, direction, max, |hit, _| hit.distance);
+            return if missed { Rgb::ONE } else { Rgb::ZERO };
+        }
         let mut veils = Vec::new();
         let mut pass = Rgb::ONE;
         let missed = self.traverse_any(origin, direction, max, |hit, kind| {
@@ -269,10 +273,11 @@ impl<'a> Rays<'a> {
             return;
         }
         let shear = Shear::new(origin, direction);
-        // Accepting ties needs the next larger bound: coincident surfaces must all be seen.
-        self.bvh.ray_traverse(ray(origin, direction, max), &mut RayHit::none(), |ray, at| {
-            let bound = if ray.tmax < max { ray.tmax.next_up() } else { max };
-            self.meet(at, &shear, bound, &mut accept)
+        let ray = ray(origin, direction, max);
+        self.bvh.ray_traverse(ray, &mut RayHit::none(), |ray, at| {
+            // Ties with the nearest so far are hits; the end of the ray itself does not belong to it.
+            let Some(crossing) = self.corners[at].intersect(&shear, ray.tmax) else { return f32::INFINITY };
+            if crossing.distance < max { self.meet(at, &crossing, &mut accept) } else { f32::INFINITY }
         });
     }
 
@@ -283,20 +288,21 @@ impl<'a> Rays<'a> {
             return true;
         }
         let shear = Shear::new(origin, direction);
-        self.bvh.ray_traverse_miss(ray(origin, direction, max), |_, at| self.meet(at, &shear, max, &mut accept))
+        self.bvh.ray_traverse_miss(ray(origin, direction, max), |_, at| {
+            let Some(crossing) = self.corners[at].intersect(&shear, max) else { return f32::INFINITY };
+            if crossing.distance < max { self.meet(at, &crossing, &mut accept) } else { f32::INFINITY }
+        })
     }
 
     #[inline(always)]
-    fn meet(&self, at: usize, shear: &Shear, max: f32, accept: &mut impl FnMut(Hit, Kind) -> f32) -> f32 {
-        let Some(Crossing { distance, u, v, owned }) = self.corners[at].intersect(shear, max) else {
-            return f32::INFINITY;
-        };
+    fn meet(&self, at: usize, crossing: &Crossing, accept: &mut impl FnMut(Hit, Kind) -> f32) -> f32 {
         let id = self.ids[at];
         let kind = id.kind();
         // Opaque surfaces stop a ray at either neighbour of an edge; veils must not weaken it twice.
-        if kind == Kind::Veil && !owned {
+        if kind == Kind::Veil && !crossing.owned {
             return f32::INFINITY;
         }
+        let Crossing { distance, u, v, .. } = *crossing;
         accept(Hit { distance, triangle: id.triangle(), u, v, back: false }, kind)
     }
 

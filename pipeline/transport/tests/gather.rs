@@ -302,6 +302,31 @@ fn a_veil_lets_its_share_through() {
 }
 
 #[test]
+fn a_back_shines_only_where_it_is_a_side_of_its_own() {
+    // A sheet over the floor that turns its back to it: E is 2 on its front and 6 on its back, ρ = ½.
+    let gathered = |double_sided: bool| {
+        let mut b = Builder::new("sheet");
+        let black = b.matte(Vec3::ZERO);
+        let base_color = Vec3::splat(0.5).extend(1.0);
+        let sheet = b.material(Material { base_color, double_sided, ..Material::default() });
+        b.quad("floor", Vec3::new(-1.0, 0.0, -1.0), Vec3::Z * 2.0, Vec3::X * 2.0, black);
+        b.quad("sheet", Vec3::new(-0.8, 0.5, -0.6), Vec3::Z, Vec3::X * 1.2, sheet);
+        let mut found = Vec::new();
+        let light = |_: Vec3, n: Vec3| Rgb::splat(if n.y > 0.0 { 2.0 } else { 6.0 });
+        with(&b.build(), 32, light, |field, geometry, _| {
+            let receivers = [Receiver::on_triangle(geometry, 0, 0.3, 0.4, 1.0, 1)];
+            let exact = 3.0 * lambert(receivers[0].position, receivers[0].normal, &quad(geometry, 1));
+            for gather in [&Lightcuts::new(field, all_lights()) as &dyn Gather, &FinalGather::new(field, 4096)] {
+                found.push(run(gather, &receivers)[0].irradiance.x / exact);
+            }
+        });
+        found
+    };
+    assert!(gathered(true).iter().all(|share| (share - 1.0).abs() < 0.02), "{:?}", gathered(true));
+    assert_eq!(gathered(false), [0.0, 0.0]);
+}
+
+#[test]
 fn a_look_up_does_not_reach_through_a_thin_wall() {
     // A wall a tenth of a voxel thick between a bright and a dark half of the floor.
     let mut b = Builder::new("divided");

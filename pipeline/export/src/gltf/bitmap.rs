@@ -8,7 +8,7 @@ const KEPT: f64 = 0.999;
 /// A page in 8 bits.
 pub struct Bitmap {
     pub png: Vec<u8>,
-    /// E [lux] that the byte 255 stands for.
+    /// E (lux) that the byte 255 stands for.
     pub intensity: f32,
     /// Covered texels with a band above the intensity.
     pub clipped: usize,

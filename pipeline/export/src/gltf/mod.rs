@@ -5,14 +5,14 @@
 //!
 //! | what | how | module |
 //! |---|---|---|
-//! | buffers | one BIN chunk; meshopt decoded, data URIs and files taken in | [`original`], [`draft`] |
-//! | images | embedded | [`original`] |
-//! | meshes of lightmapped nodes | one copy per node, triangles, TEXCOORD_1 in atlas space | [`nodes`], [`vertices`] |
-//! | EXT_mesh_gpu_instancing | child nodes, where instances are lightmapped | [`instances`] |
-//! | their materials | one copy per page, with `MOZ_lightmap` | [`materials`], [`bitmap`] |
+//! | buffers | one BIN chunk; meshopt decoded, data URIs and files taken in | `original`, `draft` |
+//! | images | embedded | `original` |
+//! | meshes of lightmapped nodes | one copy per node, triangles, TEXCOORD_1 in atlas space | `nodes`, `vertices` |
+//! | EXT_mesh_gpu_instancing | child nodes, where instances are lightmapped | `instances` |
+//! | their materials | one copy per page, with `MOZ_lightmap` | `materials`, `bitmap` |
 //!
 //! No index of the input changes its meaning: copies take the slot of an original that nothing uses any more, or the
-//! end of the list ([`draft`]). Of several buffers only the first one's name and extras can survive.
+//! end of the list (`draft`). Of several buffers only the first one's name and extras can survive.
 
 mod accessor;
 mod bitmap;
@@ -56,7 +56,7 @@ pub struct Glb {
 /// How a page fared in 8 bits.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PageStats {
-    /// E [lux] of a full byte.
+    /// E (lux) of a full byte.
     pub intensity: f32,
     /// Covered texels that were clipped.
     pub clipped: usize,
@@ -87,17 +87,18 @@ impl Original {
         self.check_unchanged(scene)?;
         let mut draft = Draft::new(self);
         let nodes = Nodes::new(self, Materials::new(self, pages));
-        let pages = nodes.place(&mut draft, scene, atlas)?.settle(&mut draft)?;
+        let mut notices = self.notices.clone();
+        let pages = nodes.place(&mut draft, scene, atlas, &mut notices)?.settle(&mut draft)?;
         let stats = |p: &PageTexture| PageStats { intensity: p.bitmap.intensity, clipped: p.bitmap.clipped };
         let pages = pages.iter().map(stats).collect();
-        Ok(Glb { bytes: draft.finish()?, pages, notices: self.notices.clone() })
+        Ok(Glb { bytes: draft.finish()?, pages, notices })
     }
 
     /// Files that the importer read too must have had the same bytes then.
     fn check_unchanged(&self, scene: &Scene) -> Checked<()> {
-        for (path, digest) in &self.digests {
-            if scene.inputs.iter().any(|i| i.path == *path && i.digest != *digest) {
-                return Err(Fault::new(path.display().to_string(), "has changed while it was baked: bake again"));
+        for now in &self.inputs {
+            if scene.inputs.iter().any(|then| then.path == now.path && then.digest != now.digest) {
+                return Err(Fault::new(now.path.display().to_string(), "has changed while it was baked: bake again"));
             }
         }
         Ok(())

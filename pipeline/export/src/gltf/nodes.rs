@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use luxel_atlas::{Atlas, Placed};
-use luxel_scene::Scene;
+use luxel_scene::{Notice, Scene};
 use serde_json::Value;
 
 use super::{
@@ -29,23 +29,39 @@ struct Baked<'a> {
 
 /// Gives every node that holds lightmapped instances a mesh of its own.
 pub struct Nodes<'a> {
-    pub original: &'a Original,
-    pub materials: Materials,
-    pub several_pages: bool,
+    original: &'a Original,
+    materials: Materials,
+    several_pages: bool,
     vertices: Vertices,
     copies: Vec<(Option<usize>, Value)>,
     old_meshes: usize,
+    /// Nodes whose extras are no object and could not take the page.
+    unnumbered: Vec<String>,
 }
 
 impl<'a> Nodes<'a> {
     pub fn new(original: &'a Original, materials: Materials) -> Self {
         let several_pages = materials.pages().len() > 1;
         let old_meshes = list(&original.root, "meshes").len();
-        Self { original, materials, several_pages, vertices: Vertices::default(), copies: Vec::new(), old_meshes }
+        Self {
+            original,
+            materials,
+            several_pages,
+            vertices: Vertices::default(),
+            copies: Vec::new(),
+            old_meshes,
+            unnumbered: Vec::new(),
+        }
     }
 
     /// Works through the whole scene; returns the materials for settling.
-    pub fn place(mut self, draft: &mut Draft, scene: &Scene, atlas: &Atlas) -> Checked<Materials> {
+    pub fn place(
+        mut self,
+        draft: &mut Draft,
+        scene: &Scene,
+        atlas: &Atlas,
+        notices: &mut Vec<Notice>,
+    ) -> Checked<Materials> {
         for (node, baked) in plan(scene, atlas)? {
             self.place_node(draft, node, baked)?;
         }
@@ -56,6 +72,11 @@ impl<'a> Nodes<'a> {
             forget_extension(&mut draft.root, instances::EXTENSION);
         }
         forget_draco(&mut draft.root);
+        if !self.unnumbered.is_empty() {
+            let which = self.unnumbered.join(", ");
+            let message = format!("the extras of {which} are no object: extras.lightmap is missing there");
+            notices.push(Notice { code: "extras-not-an-object", message });
+        }
         Ok(self.materials)
     }
 
@@ -99,8 +120,8 @@ impl<'a> Nodes<'a> {
         self.copies.push((Some(mesh), Value::Object(copy)));
         let object = item_mut(&mut draft.root, "nodes", node)?;
         object.insert("mesh".into(), (self.old_meshes + self.copies.len() - 1).into());
-        if self.several_pages {
-            add_extra(object, "lightmap", pages(primitives, count));
+        if self.several_pages && !add_extra(object, "lightmap", pages(primitives, count)) {
+            self.unnumbered.push(place(&self.original.root, "nodes", node));
         }
         Ok(())
     }

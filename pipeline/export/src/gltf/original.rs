@@ -5,7 +5,7 @@
 
 use std::path::{Path, PathBuf};
 
-use luxel_scene::Notice;
+use luxel_scene::{InputFile, Notice};
 use serde_json::Value;
 
 use super::{
@@ -24,14 +24,13 @@ pub enum Blob {
 
 /// A glTF document with its buffers and images.
 pub struct Original {
-    pub path: PathBuf,
-    pub root: Object,
-    pub buffers: Vec<Vec<u8>>,
+    pub(super) path: PathBuf,
+    pub(super) root: Object,
+    pub(super) buffers: Vec<Vec<u8>>,
     /// One per bufferView.
-    pub blobs: Vec<Blob>,
-    pub notices: Vec<Notice>,
-    /// Every file that was read, with the BLAKE3 digest of its bytes.
-    pub digests: Vec<(PathBuf, [u8; 32])>,
+    pub(super) blobs: Vec<Blob>,
+    pub(super) notices: Vec<Notice>,
+    pub(super) inputs: Vec<InputFile>,
 }
 
 impl Original {
@@ -42,12 +41,12 @@ impl Original {
 
     fn load(path: &Path) -> Checked<Self> {
         let bytes = files::read(path)?;
-        let digests = vec![(path.to_path_buf(), *blake3::hash(&bytes).as_bytes())];
+        let inputs = vec![InputFile { path: path.to_path_buf(), digest: *blake3::hash(&bytes).as_bytes() }];
         let Container { json, bin } = Container::parse(&bytes)?;
         let root: Value = serde_json::from_slice(&json).map_err(|e| Fault::new("JSON", e.to_string()))?;
         let Value::Object(root) = root else { return Err(Fault::new("JSON", "is not an object")) };
         let mut original =
-            Self { path: path.into(), root, buffers: Vec::new(), blobs: Vec::new(), notices: Vec::new(), digests };
+            Self { path: path.into(), root, buffers: Vec::new(), blobs: Vec::new(), notices: Vec::new(), inputs };
         let folder = path.parent().unwrap_or(Path::new(""));
         original.load_buffers(folder, bin)?;
         original.load_views()?;
@@ -55,8 +54,14 @@ impl Original {
         Ok(original)
     }
 
+    /// Every file that went into this, with the BLAKE3 digest of its bytes: more than the importer reads, which leaves
+    /// out the images that light does not need.
+    pub fn inputs(&self) -> &[InputFile] {
+        &self.inputs
+    }
+
     /// The bytes of a bufferView.
-    pub fn view(&self, i: usize) -> Checked<&[u8]> {
+    pub(super) fn view(&self, i: usize) -> Checked<&[u8]> {
         match self.blobs.get(i) {
             Some(Blob::Owned(bytes)) => Ok(bytes),
             Some(Blob::Range { buffer, start, end }) => Ok(&self.buffers[*buffer][*start..*end]),
@@ -67,7 +72,8 @@ impl Original {
     fn fetch(&mut self, folder: &Path, uri: &str) -> Checked<files::Fetched> {
         let fetched = files::fetch(folder, uri)?;
         if let Some(path) = &fetched.path {
-            self.digests.push((path.clone(), *blake3::hash(&fetched.bytes).as_bytes()));
+            let digest = *blake3::hash(&fetched.bytes).as_bytes();
+            self.inputs.push(InputFile { path: path.clone(), digest });
         }
         Ok(fetched)
     }

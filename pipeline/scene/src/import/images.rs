@@ -1,10 +1,11 @@
 //! Images: fetched and decoded only when a material needs their content, within limits, and each once.
 //!
-//! Roles are requested first ([`Images::request`]); [`Images::decode`] then reads and decodes whatever was asked for.
+//! Textures are requested first ([`Images::request`]); [`Images::decode`] then reads and decodes whatever was asked for.
 //! A texture that only serves normal or occlusion maps is never requested, so its file is not even opened.
 
 use std::collections::BTreeMap;
 use std::io::Cursor;
+use std::sync::Arc;
 
 use image::{ImageFormat, ImageReader};
 use rayon::prelude::*;
@@ -13,33 +14,43 @@ use super::buffers::Buffers;
 use super::error::{Checked, Fault, FaultKind, place};
 use super::files::Files;
 use super::options::Limits;
-use crate::{LazyPyramid, Texture};
+use crate::{AlphaUse, Averages, Texture, TextureRef};
 
-/// What an image is used for decides how its bytes read.
+/// How an image's bytes read as colours: sRGB, or linear data.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Role {
-    /// Colours in sRGB; alpha has no meaning and is made opaque, so that it weights nothing.
-    Color,
-    /// Colours in sRGB with coverage in alpha.
-    ColorAndAlpha,
-    /// The same under an alpha test, with the bits of the cut-off.
-    Masked(u32),
-    /// Linear data; alpha has no meaning.
-    Data,
+pub enum Encoding {
+    Srgb,
+    Linear,
 }
 
 /// Textures that materials have asked for.
 #[derive(Default)]
 pub struct Images {
-    requests: BTreeMap<(usize, Role), usize>,
+    requests: BTreeMap<(usize, Encoding), usize>,
+    /// Averages that uses of one texture can share: by texture and what its alpha means.
+    averages: BTreeMap<(usize, Option<u32>), Arc<Averages>>,
 }
 
 impl Images {
-    /// Index, in the scene's list of textures, of a glTF texture in a role.
-    pub fn request(&mut self, buffers: &Buffers, texture: usize, role: Role) -> Checked<usize> {
+    /// A reference, with default coordinates, to a glTF texture.
+    pub fn request(
+        &mut self,
+        buffers: &Buffers,
+        texture: usize,
+        encoding: Encoding,
+        alpha: AlphaUse,
+    ) -> Checked<TextureRef> {
         let image = source(buffers, texture)?;
         let next = self.requests.len();
-        Ok(*self.requests.entry((image, role)).or_insert(next))
+        let index = *self.requests.entry((image, encoding)).or_insert(next);
+        let key = match alpha {
+            AlphaUse::Ignored => None,
+            // No cut-off is below 0, so a test and mere coverage cannot be mixed up.
+            AlphaUse::Coverage => Some((-1.0f32).to_bits()),
+            AlphaUse::Test(cutoff) => Some(cutoff.to_bits()),
+        };
+        let averages = Arc::clone(self.averages.entry((index, key)).or_default());
+        Ok(TextureRef { averages, ..TextureRef::new(index) })
     }
 
     /// Reads and decodes everything that was requested.
@@ -57,7 +68,7 @@ impl Images {
         let mut total = 0u64;
         for (image, _) in self.requests.keys() {
             let bytes = encoded.get(image).map_or(&[][..], Vec::as_slice);
-            // The pyramid takes up to 16 bytes for every fourth texel and its successors, 5⅓ in all.
+            // Averages take 16 bytes for every fourth texel and its successors, 5⅓ in all.
             total = total.saturating_add(pixels(bytes, place_of(image), limits)?.saturating_mul(4 + 6));
             if total > limits.texture_bytes {
                 let what = format!("with it the decoded images take {total} bytes");
@@ -68,9 +79,9 @@ impl Images {
             encoded.par_iter().map(|(image, bytes)| Ok((*image, decode(bytes, place_of(image), limits)?))).collect();
         let decoded = decoded.into_iter().collect::<Checked<BTreeMap<_, _>>>()?;
         let mut textures: Vec<Texture> = vec![Texture::default(); self.requests.len()];
-        for ((image, role), slot) in &self.requests {
-            if let (Some(pixels), Some(texture)) = (decoded.get(image), textures.get_mut(*slot)) {
-                *texture = in_role(pixels, *role, place_of(image));
+        for ((image, encoding), slot) in &self.requests {
+            if let (Some(pixels), Some(target)) = (decoded.get(image), textures.get_mut(*slot)) {
+                *target = texture(pixels, *encoding, place_of(image));
             }
         }
         Ok(textures)
@@ -167,16 +178,56 @@ fn decode(bytes: &[u8], place: &str, limits: &Limits) -> Checked<image::RgbaImag
     Ok(reader.decode().map_err(|e| broken(place, &e))?.into_rgba8())
 }
 
-fn in_role(pixels: &image::RgbaImage, role: Role, name: &str) -> Texture {
-    let opaque = matches!(role, Role::Color | Role::Data);
-    let texel = |p: &image::Rgba<u8>| if opaque { [p[0], p[1], p[2], 255] } else { p.0 };
+fn texture(pixels: &image::RgbaImage, encoding: Encoding, name: &str) -> Texture {
     Texture {
         name: name.to_owned(),
         width: pixels.width(),
         height: pixels.height(),
-        srgb: role != Role::Data,
-        texels: pixels.pixels().map(texel).collect(),
-        cutoff: if let Role::Masked(bits) = role { Some(f32::from_bits(bits)) } else { None },
-        pyramid: LazyPyramid::default(),
+        srgb: encoding == Encoding::Srgb,
+        texels: pixels.pixels().map(|p| p.0).collect(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn encoded(image: image::DynamicImage, format: ImageFormat) -> Vec<u8> {
+        let mut out = Vec::new();
+        image.write_to(&mut Cursor::new(&mut out), format).unwrap();
+        out
+    }
+
+    fn read(bytes: &[u8]) -> Checked<image::RgbaImage> {
+        let limits = Limits { image_pixels: 100, ..Limits::default() };
+        pixels(bytes, "image 0", &limits)?;
+        decode(bytes, "image 0", &limits)
+    }
+
+    #[test]
+    fn png_jpeg_and_webp_are_read_whatever_their_depth() {
+        let deep = image::ImageBuffer::from_pixel(5, 3, image::Rgba([65535u16, 32896, 0, 257]));
+        let deep = encoded(image::DynamicImage::ImageRgba16(deep), ImageFormat::Png);
+        assert_eq!(read(&deep).unwrap().get_pixel(4, 2).0, [255, 128, 0, 1]);
+        let grey =
+            encoded(image::DynamicImage::ImageLuma8(image::GrayImage::from_pixel(4, 4, [7].into())), ImageFormat::Png);
+        assert_eq!(read(&grey).unwrap().get_pixel(0, 0).0, [7, 7, 7, 255]);
+        let color = image::DynamicImage::ImageRgb8(image::RgbImage::from_pixel(8, 8, [200, 100, 50].into()));
+        assert_eq!(read(&encoded(color.clone(), ImageFormat::WebP)).unwrap().get_pixel(3, 3).0, [200, 100, 50, 255]);
+        let jpeg = read(&encoded(color, ImageFormat::Jpeg)).unwrap();
+        assert!(jpeg.get_pixel(3, 3).0.iter().zip([200u8, 100, 50, 255]).all(|(a, b)| a.abs_diff(b) < 5));
+    }
+
+    #[test]
+    fn large_damaged_and_foreign_images_are_refused() {
+        let large = encoded(image::DynamicImage::new_rgb8(11, 10), ImageFormat::Png);
+        assert_eq!(read(&large).unwrap_err().kind, FaultKind::Limit);
+        let small = encoded(image::DynamicImage::new_rgb8(4, 4), ImageFormat::Png);
+        for n in 0..small.len() - 16 {
+            assert!(read(&small[..n]).is_err(), "{n}");
+        }
+        let ktx = read(b"\xabKTX 20\xbb\r\n\x1a\n").unwrap_err();
+        assert!(ktx.kind == FaultKind::Unsupported && ktx.what.contains("Basis"), "{ktx}");
+        assert!(read(b"GIF89a").unwrap_err().what.contains("Gif"));
     }
 }

@@ -11,12 +11,12 @@ use serde_json::Value;
 
 use super::buffers::Buffers;
 use super::error::{Checked, Fault};
-use super::images::{Images, Role};
+use super::images::{Encoding, Images};
 use super::notes::Notes;
 use super::options::ImportOptions;
 use super::primitives::MAX_UV_SET;
 use crate::material::MAX_ALBEDO;
-use crate::{Alpha, Material, Texture, TextureRef, Wrap};
+use crate::{Alpha, AlphaUse, Material, Texture, TextureRef, Wrap};
 
 /// The scene's materials as they are asked for.
 #[derive(Default)]
@@ -98,46 +98,32 @@ fn read(
     };
     let emission = emission(source, extension("KHR_materials_emissive_strength"), options, &place, notes)?;
 
-    let mut texture = |info: Option<&Info>, needed: bool, role: Role| match info {
-        Some(info) if needed => reference(buffers, info, role, images, &place).map(Some),
-        _ => Ok(None),
-    };
-    let role = match alpha {
-        Alpha::Opaque => Role::Color,
-        Alpha::Mask(cutoff) => Role::Masked(texel_cutoff(cutoff, base.w).to_bits()),
-        Alpha::Blend => Role::ColorAndAlpha,
-    };
-    let tinted = base.truncate() != Vec3::ZERO || alpha != Alpha::Opaque;
-    let transmission_texture = transmission.map_or(Ok(None), |t| info(t, "transmissionTexture", &place))?;
-    Ok(Material {
+    let mut out = Material {
         name: source.name.clone().unwrap_or_else(|| place.clone()),
         base_color: base,
-        base_color_texture: texture(base_texture.as_ref(), tinted, role)?,
         metallic,
         roughness,
-        metallic_roughness_texture: texture(
-            pbr.metallic_roughness_texture.as_ref(),
-            metallic > 0.0 && base.truncate() != Vec3::ZERO,
-            Role::Data,
-        )?,
         emission,
-        emissive_texture: texture(source.emissive_texture.as_ref(), emission.max_element() > 0.0, Role::Color)?,
         alpha,
         transmission: transmission_factor,
-        transmission_texture: texture(transmission_texture.as_ref(), transmission_factor > 0.0, Role::Data)?,
         double_sided: source.double_sided,
         unlit: extension("KHR_materials_unlit").is_some(),
         metal_diffuse: options.metal_diffuse,
-    })
-}
-
-/// The alpha test `factor × texel ≥ cut-off` in terms of the texel alone.
-fn texel_cutoff(cutoff: f32, factor: f32) -> f32 {
-    match (cutoff <= 0.0, factor > 0.0) {
-        (true, _) => 0.0,
-        (false, true) => cutoff / factor,
-        (false, false) => f32::INFINITY,
-    }
+        ..Material::default()
+    };
+    let mut texture = |info: Option<&Info>, needed: bool, encoding: Encoding, alpha: AlphaUse| match info {
+        Some(info) if needed => reference(buffers, info, encoding, alpha, images, &place).map(Some),
+        _ => Ok(None),
+    };
+    let black = base.truncate() == Vec3::ZERO;
+    let mapped = pbr.metallic_roughness_texture.as_ref();
+    let transmitted = transmission.map_or(Ok(None), |t| info(t, "transmissionTexture", &place))?;
+    let (srgb, linear, ignored) = (Encoding::Srgb, Encoding::Linear, AlphaUse::Ignored);
+    out.base_color_texture = texture(base_texture.as_ref(), !black || alpha != Alpha::Opaque, srgb, out.alpha_use())?;
+    out.metallic_roughness_texture = texture(mapped, metallic > 0.0 && !black, linear, ignored)?;
+    out.emissive_texture = texture(source.emissive_texture.as_ref(), out.emits(), srgb, ignored)?;
+    out.transmission_texture = texture(transmitted.as_ref(), transmission_factor > 0.0, linear, ignored)?;
+    Ok(out)
 }
 
 /// Emissive factor × strength [cd/m²].
@@ -160,9 +146,16 @@ fn emission(
 }
 
 /// A texture as the material uses it, with its sampler and KHR_texture_transform.
-fn reference(buffers: &Buffers, info: &Info, role: Role, images: &mut Images, place: &str) -> Checked<TextureRef> {
+fn reference(
+    buffers: &Buffers,
+    info: &Info,
+    encoding: Encoding,
+    alpha: AlphaUse,
+    images: &mut Images,
+    place: &str,
+) -> Checked<TextureRef> {
     let root = &buffers.document().root;
-    let mut out = TextureRef::new(images.request(buffers, info.index.value(), role)?);
+    let mut out = images.request(buffers, info.index.value(), encoding, alpha)?;
     let mut set = info.tex_coord;
     if let Some(transform) = info.extensions.as_ref().and_then(|e| e.others.get("KHR_texture_transform")) {
         if let Some(value) = transform.get("texCoord") {
@@ -233,9 +226,9 @@ pub fn note_clamped(materials: &[Material], textures: &[Texture], notes: &mut No
         if material.base_color.truncate().max_element() <= MAX_ALBEDO || material.unlit {
             continue;
         }
-        let mean = |t: &Option<TextureRef>| t.as_ref().map_or(Vec4::ONE, |t| textures[t.texture].mean());
-        let base = material.base_color * mean(&material.base_color_texture);
-        let mr = mean(&material.metallic_roughness_texture);
+        let mean = |t: &Option<TextureRef>, alpha| t.as_ref().map_or(Vec4::ONE, |t| t.mean(textures, alpha));
+        let base = material.base_color * mean(&material.base_color_texture, material.alpha_use());
+        let mr = mean(&material.metallic_roughness_texture, AlphaUse::Ignored);
         let metallic = material.metallic * mr.z;
         let diffuse = 1.0 - metallic + metallic * material.roughness * mr.y * material.metal_diffuse;
         let albedo = base.truncate().max_element() * diffuse * (1.0 - material.transmission);

@@ -5,7 +5,7 @@ use std::f64::consts::{PI, TAU};
 use glam::{DVec3, Vec3, Vec4};
 
 use super::notes::Notes;
-use crate::{LightKind, Scene};
+use crate::{AlphaUse, LightKind, Scene};
 
 /// Emissive and punctual light that differ by more than this factor are worth a notice.
 const SUSPICIOUS: f64 = 1e4;
@@ -35,8 +35,8 @@ pub fn estimate(scene: &Scene) -> Power {
     let emissive = scene.instances.iter().map(|instance| {
         let Some(mesh) = scene.meshes.get(instance.mesh) else { return 0.0 };
         let Some(material) = scene.materials.get(mesh.material).filter(|m| m.emits()) else { return 0.0 };
-        let texture = material.emissive_texture.as_ref().and_then(|t| scene.textures.get(t.texture));
-        let tint = texture.map_or(Vec4::ONE, |t| t.mean()).truncate();
+        let texture = material.emissive_texture.as_ref();
+        let tint = texture.map_or(Vec4::ONE, |t| t.mean(&scene.textures, AlphaUse::Ignored)).truncate();
         let area: f64 = mesh
             .triangles
             .iter()

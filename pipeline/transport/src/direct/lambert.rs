@@ -11,10 +11,14 @@ use glam::{DVec3, Vec3};
 
 use crate::gather::Receiver;
 
-/// Corners of a quad after two clips.
-const MAX_CORNERS: usize = 8;
+/// Corners of a quad after two clips: at most half of them again each time, even where rounding has bent it.
+const MAX_CORNERS: usize = 12;
 
-/// Below this ratio of diameter to distance a polygon is a point: the relative error is at most about the square.
+/// Below this ratio of diameter to distance Gauss points do: their relative error is about a tenth of its fourth power
+/// for parallelograms, measured in the tests, and much less than a texel's worth of light.
+const FAR: f32 = 0.2;
+
+/// The same for triangles and other quads, which are taken as a point: relative error about the square.
 const POINT_LIKE: f32 = 0.01;
 
 /// Irradiance [lux] of a convex polygon (at most four corners) of radiance 1 cd/m² that faces the receiver, without
@@ -23,8 +27,16 @@ pub fn irradiance(receiver: &Receiver, corners: &[Vec3], normal: Vec3, area: f32
     let p = receiver.position;
     let to = corners[0] - p;
     let spread = corners.iter().map(|&c| (c - corners[0]).length_squared()).fold(0.0, f32::max);
-    if spread < POINT_LIKE * POINT_LIKE * to.length_squared() {
-        return point_like(receiver, corners, normal, area);
+    let squared = to.length_squared();
+    if spread < FAR * FAR * squared {
+        if let [a, b, c, d] = *corners
+            && let Some(e) = gauss(receiver, [a, b, c, d], normal, area, spread)
+        {
+            return e;
+        }
+        if spread < POINT_LIKE * POINT_LIKE * squared {
+            return point_like(receiver, corners, normal, area);
+        }
     }
     let mut polygon = [DVec3::ZERO; MAX_CORNERS];
     let mut count = corners.len();
@@ -38,6 +50,25 @@ pub fn irradiance(receiver: &Receiver, corners: &[Vec3], normal: Vec3, area: f32
         count = clip(&mut polygon, count, shading);
     }
     edges(&mut polygon[..count], shading)
+}
+
+/// The product rule of two Gauss points along each side of a parallelogram that lies wholly above both horizons.
+fn gauss(receiver: &Receiver, [a, b, c, d]: [Vec3; 4], normal: Vec3, area: f32, spread: f32) -> Option<f64> {
+    /// 1/(2√3): the Gauss points' distance from the middle of a side, in sides.
+    const POINT: f32 = 0.288_675_13;
+    let center = 0.5 * (a + c) - receiver.position;
+    let height = receiver.normal.dot(center).min(receiver.shading_normal.dot(center));
+    let parallel = (a - b + c - d).length_squared() <= 1e-8 * spread;
+    if !parallel || height <= 0.0 || height * height <= spread {
+        return None;
+    }
+    let (s, t) = ((b - a) * POINT, (d - a) * POINT);
+    let mut sum = 0.0;
+    for point in [center - s - t, center + s - t, center - s + t, center + s + t] {
+        let squared = point.length_squared();
+        sum += receiver.shading_normal.dot(point) / (squared * squared);
+    }
+    Some(f64::from(0.25 * sum * normal.dot(center).abs() * area))
 }
 
 /// The far limit A cos θ cos θ' / r² at the mean of the corners, exact to the square of diameter over distance.
@@ -136,7 +167,7 @@ mod tests {
                 let e = irradiance(&up(Vec3::ZERO), &corners, Vec3::NEG_Z, (x1 - x0) * (y1 - y0));
                 let [x0, x1, y0, y1, h] = [x0, x1, y0, y1, h].map(f64::from);
                 let exact = parallel_rectangle(x0, x1, y0, y1, h);
-                assert!((e - exact).abs() <= 3e-4 * exact + 1e-12, "{h} {x0}: {e} {exact}");
+                assert!((e - exact).abs() <= 1e-4 * exact + 1e-12, "{h} {x0}: {e} {exact}");
             }
         }
     }

@@ -1,10 +1,10 @@
 //! Direct light at receivers, without noise: closed-form irradiance times the visible share of every light.
 //!
-//! Receivers come in chart order. Each run of them is a tree of tiles ([`tiles`]); for every light, the shaft between
-//! a tile and the light ([`shaft`]) collects the few triangles that can block anything ([`occluders`]), children
+//! Receivers come in chart order. Each run of them is a tree of tiles (`tiles`); for every light, the shaft between
+//! a tile and the light (`shaft`) collects the few triangles that can block anything (`occluders`), children
 //! filter their parent's list, and a tile with an empty list needs no visibility at all. Otherwise each occluder's
-//! shadow ([`cone`]) is taken out of 64 fixed points of the light ([`target`]), and the closed form ([`lambert`],
-//! [`punctual`]) is weighted by what is left. Shadows come from the triangles themselves, so a bar thinner than the
+//! shadow (`cone`) is taken out of 64 fixed points of the light (`target`), and the closed form ([`lambert`],
+//! `punctual`) is weighted by what is left. Shadows come from the triangles themselves, so a bar thinner than the
 //! distance of two points is found; only holes and veils are looked up by rays.
 //!
 //! What a receiver sees does not depend on the tile it is in: lists only leave out what blocks nothing, and the
@@ -39,9 +39,6 @@ use visibility::{Between, Sight};
 
 /// Receivers that share a tree of tiles.
 const CHUNK: usize = 2048;
-
-/// Lights between two looks at whether the work is still wanted.
-const LIGHTS_PER_CHECK: usize = 64;
 
 /// How visibility is found out.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
@@ -113,10 +110,8 @@ impl<'a> Direct<'a> {
             rays: vec![0; receivers.len()],
             lists: Vec::new(),
         };
-        for (i, light) in self.lights.iter().enumerate() {
-            if i % LIGHTS_PER_CHECK == 0 {
-                progress.check()?;
-            }
+        for light in &self.lights {
+            progress.check()?;
             job.tile(light, 0, Known::Nothing);
         }
         progress.advance(receivers.len() as u64);

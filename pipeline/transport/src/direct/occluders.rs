@@ -89,9 +89,15 @@ impl<'a> Occluders<'a> {
         reached
     }
 
-    /// What is between `point` and one point of a target.
-    pub fn passage(&self, point: Vec3, plane: &Plane, points: &Points, at: usize) -> Passage {
+    /// What is between `point` and one point of a target. `last` is the solid occluder found before, which is asked
+    /// first: neighbouring points are mostly hidden by the same one.
+    pub fn passage(&self, point: Vec3, plane: &Plane, points: &Points, at: usize, last: &mut Option<u32>) -> Passage {
         let (u, v) = (points.u[at], points.v[at]);
+        let hides =
+            |id| Cone::new(point, self.corners(id), plane, &points.corners).as_ref().is_some_and(|c| c.hides(u, v));
+        if last.is_some_and(hides) {
+            return Passage::Blocked;
+        }
         let to = plane.at(u, v);
         // Finite, so that 0 · ∞ never arises where the segment runs along an axis.
         let inverse = to.recip().clamp(Vec3::splat(-1e30), Vec3::splat(1e30));
@@ -99,10 +105,12 @@ impl<'a> Occluders<'a> {
         let clear = self.visit(
             |lo, hi| segment_meets_box(point, inverse, lo, hi),
             |id| {
-                let hides = |c: &Cone| c.hides(u, v);
-                if Cone::new(point, self.corners(id), plane, &points.corners).as_ref().is_some_and(hides) {
+                if hides(id) {
                     passage = Passage::Veiled;
-                    return id & VEIL != 0;
+                    if id & VEIL == 0 {
+                        *last = Some(id);
+                        return false;
+                    }
                 }
                 true
             },
@@ -115,15 +123,16 @@ impl<'a> Occluders<'a> {
         if self.order.is_empty() {
             return true;
         }
-        // Grows only for degenerate trees.
-        let mut stack = Vec::with_capacity(64);
-        stack.push(0u32);
-        while let Some(at) = stack.pop() {
+        let enters = |at: u32| {
+            let aabb = self.bvh.nodes[at as usize].aabb();
+            enter(aabb.min.into(), aabb.max.into())
+        };
+        // What a degenerate tree has beyond the fixed stack waits in a list that is mostly never allocated.
+        let (mut stack, mut top, mut more) = ([0u32; 64], 0, Vec::new());
+        let mut next = enters(0).then_some(0u32);
+        while let Some(at) = next {
             let node = &self.bvh.nodes[at as usize];
-            let aabb = node.aabb();
-            if !enter(aabb.min.into(), aabb.max.into()) {
-                continue;
-            }
+            next = None;
             if node.is_leaf() {
                 let first = node.first_index as usize;
                 for &id in &self.order[first..first + node.prim_count as usize] {
@@ -132,7 +141,25 @@ impl<'a> Occluders<'a> {
                     }
                 }
             } else {
-                stack.extend([node.first_index + 1, node.first_index]);
+                let (first, second) = (node.first_index, node.first_index + 1);
+                next = enters(first).then_some(first);
+                if enters(second) {
+                    match next {
+                        None => next = Some(second),
+                        Some(_) if top < stack.len() => {
+                            stack[top] = second;
+                            top += 1;
+                        }
+                        Some(_) => more.push(second),
+                    }
+                }
+            }
+            if next.is_none() {
+                next = more.pop();
+                if next.is_none() && top > 0 {
+                    top -= 1;
+                    next = Some(stack[top]);
+                }
             }
         }
         true

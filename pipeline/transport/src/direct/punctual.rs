@@ -16,7 +16,7 @@ use super::{
 use crate::{
     Rgb,
     gather::Receiver,
-    lights::{Lamp, SunLight},
+    lights::{BRIGHTEST, Lamp, SunLight},
     rays::OFFSET,
     sampling,
 };
@@ -43,6 +43,7 @@ struct Disc {
 /// Irradiance of a lamp at a receiver, and rays spent.
 pub fn lamp(lamp: &Lamp, r: &Receiver, sight: &Sight, patterns: &[Pattern], between: Between) -> (Rgb, u32) {
     let facing = lamp.intensity_towards(r.position) / lamp.squared_distance(r.position);
+    let facing = facing.min(Rgb::splat(BRIGHTEST));
     let to = lamp.position - eye(r);
     let distance = to.length();
     if facing == Rgb::ZERO || distance <= OFFSET {

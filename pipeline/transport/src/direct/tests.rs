@@ -357,6 +357,11 @@ fn awkward_places_stay_finite_and_dark_sides_dark() {
     for e in [both(&scene, at, 64)].into_iter().flat_map(|(a, b)| [a, b]).flatten() {
         assert!(e.is_finite() && e.min_element() >= 0.0, "{e}");
     }
+    let mut b = ground();
+    b.light("absurd", point(0.0, 1.0, 0.0, 0.0), Vec3::splat(f32::MAX));
+    for e in both(&b.build(), |g| vec![floor(g, 0.0, 0.0, 0.0), floor(g, 0.0, 1.0, 0.0)], 64).0 {
+        assert!(e.is_finite(), "{e}");
+    }
     // A panel lights nothing behind it.
     let mut b = ground();
     let shiny = b.emitter(Vec3::ZERO, Vec3::ONE);

@@ -77,8 +77,9 @@ impl Sight<'_> {
                 }
             }
             Between::Many => {
+                let mut last = None;
                 for i in 0..points.count {
-                    match self.occluders.passage(eye, plane, points, i) {
+                    match self.occluders.passage(eye, plane, points, i, &mut last) {
                         Passage::Open => {}
                         Passage::Veiled => lanes.clear[i] = 0.0,
                         Passage::Blocked => lanes.open[i] = 0.0,

@@ -77,14 +77,19 @@ impl<'a> Field<'a> {
     #[inline]
     pub fn walk(&self, origin: Vec3, direction: Vec3, mut visit: impl FnMut(&Encounter)) -> (Rgb, u32) {
         let (mut from, mut passed, mut pass) = (origin, 0.0, Rgb::ONE);
+        let mut last = u32::MAX;
         for rays in 1..=MAX_VEILS {
             let Some(hit) = self.rays.closest(from, direction, f32::INFINITY) else { return (pass, rays) };
-            let (encounter, transmittance) = self.meet(&hit, passed + hit.distance, direction, pass);
-            visit(&encounter);
-            pass *= transmittance;
-            if pass.max_element() <= FAINT {
-                return (Rgb::ZERO, rays);
+            // A straight line meets a triangle once: a second time, at a grazing angle, is rounding.
+            if hit.triangle != last {
+                let (encounter, transmittance) = self.meet(&hit, passed + hit.distance, direction, pass);
+                visit(&encounter);
+                pass *= transmittance;
+                if pass.max_element() <= FAINT {
+                    return (Rgb::ZERO, rays);
+                }
             }
+            last = hit.triangle;
             passed += hit.distance + OFFSET;
             from = origin + direction * passed;
         }

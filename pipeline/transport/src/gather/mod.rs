@@ -7,7 +7,7 @@
 //! | look-up | [`lookup`] | the cache itself, interpolated | that of the voxels |
 //!
 //! All read one [`field::Field`]: rays, surfels and the irradiance at them. [`refresh`] feeds a final gather at the
-//! surfels back into the cache.
+//! surfels back into the cache; [`nodes`] evaluate any mode at few texels and interpolate between them.
 //!
 //! Indirect light here is what surfaces reflect. Lightcuts and final gather leave out the sky as seen from the receiver
 //! itself (a ray that escapes brings nothing); the look-up reads a cache that already contains it.
@@ -17,6 +17,7 @@ pub mod final_gather;
 mod hemisphere;
 pub mod lightcuts;
 pub mod lookup;
+pub mod nodes;
 pub mod refresh;
 mod run;
 pub mod surfel_index;

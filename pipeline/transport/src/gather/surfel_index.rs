@@ -1,5 +1,6 @@
-//! From a point on a surface to its surfel: an open-addressing table of the occupied voxels. It takes memory in
-//! proportion to the surfels, however large and empty the scene is.
+//! From a point on a surface to its surfel: an open-addressing table of bricks of 4³ voxels, each with a bit mask of its
+//! occupied voxels, whose rank among the bits finds the voxel's surfels. Neighbouring voxels share a brick, so most
+//! look-ups stay in the nearest cache; memory is in proportion to the surfels, however large and empty the scene is.
 
 use glam::{IVec3, Vec3};
 
@@ -9,17 +10,29 @@ use crate::{sampling::mix, surfel::Surfels};
 /// normals within dot 0.9 of their mean.
 const FACING: f32 = 0.5;
 
+/// A slot of the table; free while its mask is empty.
 #[derive(Clone, Copy)]
-struct Slot {
-    voxel: IVec3,
+struct Brick {
+    /// Voxel coordinates divided by 4.
+    place: IVec3,
+    /// Number of the brick's first occupied voxel.
     first: u32,
-    /// 0: the slot is free.
+    /// Occupied voxels: bit 16x + 4y + z.
+    mask: u64,
+}
+
+/// The surfels of one voxel in the list.
+#[derive(Clone, Copy)]
+struct Run {
+    first: u32,
     count: u32,
 }
 
 /// Finds surfels by voxel.
 pub struct SurfelIndex {
-    slots: Vec<Slot>,
+    bricks: Vec<Brick>,
+    /// By number of the occupied voxel.
+    runs: Vec<Run>,
     normals: Vec<Vec3>,
     centroids: Vec<Vec3>,
     origin: Vec3,
@@ -29,21 +42,25 @@ pub struct SurfelIndex {
 impl SurfelIndex {
     pub fn new(surfels: &Surfels) -> Self {
         let list = &surfels.list;
-        let runs = || list.chunk_by(|a, b| a.voxel == b.voxel);
-        let voxels = runs().count();
-        let size = (2 * voxels).next_power_of_two().max(2);
-        let mut slots = vec![Slot { voxel: IVec3::ZERO, first: 0, count: 0 }; size];
+        let voxels = || list.chunk_by(|a, b| a.voxel == b.voxel);
+        let mut bricks = insert_all(voxels().map(|run| run[0].voxel));
+        let mut occupied = 0;
+        for brick in &mut bricks {
+            brick.first = occupied;
+            occupied += brick.mask.count_ones();
+        }
+        let mut runs = vec![Run { first: 0, count: 0 }; occupied as usize];
         let mut first = 0;
-        for run in runs() {
-            let mut at = hash(run[0].voxel) & (size - 1);
-            while slots[at].count > 0 {
-                at = (at + 1) & (size - 1);
+        for run in voxels() {
+            let count = run.len() as u32;
+            if let Some(number) = number(&bricks, run[0].voxel) {
+                runs[number] = Run { first, count };
             }
-            slots[at] = Slot { voxel: run[0].voxel, first, count: run.len() as u32 };
-            first += run.len() as u32;
+            first += count;
         }
         Self {
-            slots,
+            bricks,
+            runs,
             normals: list.iter().map(|s| s.normal).collect(),
             centroids: list.iter().map(|s| s.centroid).collect(),
             origin: surfels.grid.origin,
@@ -58,17 +75,10 @@ impl SurfelIndex {
 
     /// The surfels of a voxel, as a range of the list.
     pub fn surfels(&self, voxel: IVec3) -> std::ops::Range<usize> {
-        let mask = self.slots.len() - 1;
-        let mut at = hash(voxel) & mask;
-        // At least half of the slots are free, so the search ends.
-        while self.slots[at].count > 0 {
-            let slot = &self.slots[at];
-            if slot.voxel == voxel {
-                return slot.first as usize..(slot.first + slot.count) as usize;
-            }
-            at = (at + 1) & mask;
+        match number(&self.bricks, voxel).map(|number| self.runs[number]) {
+            Some(Run { first, count }) => first as usize..(first + count) as usize,
+            None => 0..0,
         }
-        0..0
     }
 
     /// The surfel at a surface point on the side that `normal` looks to: the best aligned one of the point's voxel; in a
@@ -107,8 +117,54 @@ pub(super) fn neighbours(voxel: IVec3, reach: i32) -> impl Iterator<Item = IVec3
     offsets.map(move |offset| IVec3::from_array([0, 1, 2].map(|i| voxel[i].wrapping_add(offset[i]))))
 }
 
-fn hash(voxel: IVec3) -> usize {
-    let [x, y, z] = voxel.to_array().map(|v| u64::from(v as u32));
+/// A table that holds the bricks of all voxels and is at least half free.
+fn insert_all(voxels: impl Iterator<Item = IVec3>) -> Vec<Brick> {
+    const FREE: Brick = Brick { place: IVec3::ZERO, first: 0, mask: 0 };
+    let (mut table, mut used) = (vec![FREE; 64], 0);
+    for voxel in voxels {
+        if 2 * used >= table.len() {
+            let mut larger = vec![FREE; 2 * table.len()];
+            for brick in table.into_iter().filter(|b| b.mask != 0) {
+                let at = slot(&larger, brick.place);
+                larger[at] = brick;
+            }
+            table = larger;
+        }
+        let (place, bit) = split(voxel);
+        let at = slot(&table, place);
+        used += usize::from(table[at].mask == 0);
+        table[at].place = place;
+        table[at].mask |= bit;
+    }
+    table
+}
+
+/// The slot of a brick, or the free one where it would go. At least half of the slots are free, so the search ends.
+fn slot(table: &[Brick], place: IVec3) -> usize {
+    let mask = table.len() - 1;
+    let mut at = hash(place) & mask;
+    while table[at].mask != 0 && table[at].place != place {
+        at = (at + 1) & mask;
+    }
+    at
+}
+
+/// The number of an occupied voxel.
+fn number(table: &[Brick], voxel: IVec3) -> Option<usize> {
+    let (place, bit) = split(voxel);
+    let brick = &table[slot(table, place)];
+    let below = brick.mask & (bit - 1);
+    (brick.mask & bit != 0).then(|| (brick.first + below.count_ones()) as usize)
+}
+
+/// A voxel's brick, and its bit there.
+fn split(voxel: IVec3) -> (IVec3, u64) {
+    let inside = voxel & 3;
+    (voxel >> 2, 1 << (16 * inside.x + 4 * inside.y + inside.z))
+}
+
+fn hash(place: IVec3) -> usize {
+    let [x, y, z] = place.to_array().map(|v| u64::from(v as u32));
     // 21 bits an axis fill the word; larger coordinates only share slots.
     mix(x ^ (y << 21) ^ (z << 42)) as usize
 }
@@ -140,8 +196,8 @@ mod tests {
     #[test]
     fn every_surfel_is_found_from_its_own_centre_and_side() {
         let mut list = Vec::new();
-        for x in -7..9 {
-            for y in 0..11 {
+        for x in -37..39 {
+            for y in 0..41 {
                 let z = (x * 7 + y * 3) % 5;
                 list.push(surfel(IVec3::new(x, y, z), Vec3::Z));
                 list.push(surfel(IVec3::new(x, y, z), -Vec3::Z));
@@ -156,7 +212,7 @@ mod tests {
         assert_eq!(index.find(surfels.list[0].centroid, Vec3::X), None);
         assert_eq!(index.find(Vec3::splat(1e9), Vec3::Z), None);
         // Half a voxel outside the sheet the nearest neighbour answers.
-        let edge = Vec3::new(-7.2, 0.5, surfels.list[0].centroid.z);
+        let edge = Vec3::new(-37.2, 0.5, surfels.list[0].centroid.z);
         assert_eq!(index.find(edge, Vec3::Z), Some(0));
     }
 

@@ -5,7 +5,7 @@ use std::f64::consts::{PI, TAU};
 use glam::{DVec3, Vec3};
 use luxel_scene::{Light, LightKind};
 
-use super::Source;
+use super::{BRIGHTEST, Source};
 use crate::{Rgb, frame::Frame, rays::OFFSET};
 
 /// A point or spot light; a luminous sphere where `radius` is not 0. It casts light, it is not geometry.
@@ -65,8 +65,7 @@ impl Lamp {
             LightKind::Sun { .. } => return None,
         };
         let position = frame.point(position);
-        // Products of three bands and squared scales stay finite in f32 or are cut at its end.
-        let intensity = Rgb::from_array(intensity.to_array().map(|i| frame.intensity(i).min(f32::MAX)));
+        let intensity = Rgb::from_array(intensity.to_array().map(|i| frame.intensity(i).min(BRIGHTEST)));
         position.is_finite().then_some(Self {
             position,
             intensity,

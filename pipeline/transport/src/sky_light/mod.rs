@@ -4,7 +4,7 @@
 //!
 //! The directions are a rank-1 lattice shifted by the receiver's seed, so that a constant sky without anything in
 //! its way gives πL exactly. An image with small bright spots (a sun in an HDRI) is split in two: what lies below a
-//! multiple of the mean is sampled as above, the excess by its own distribution ([`spots`]); both estimates are
+//! multiple of the mean is sampled as above, the excess by its own distribution (`spots`); both estimates are
 //! unbiased and neither has a spike.
 
 mod spots;
@@ -46,7 +46,7 @@ pub struct SkyLight<'a> {
     sky: &'a Sky,
     spots: Option<Spots>,
     settings: SkySettings,
-    /// Generator of the lattice: the integer nearest to N/golden ratio that is odd or prime to N.
+    /// Generator of the lattice of directions.
     generator: u32,
 }
 

@@ -14,7 +14,8 @@
 //!
 //! With q the ratio of the last two increments, q/(1−q)·|ΔE| is what is still to come: the iteration stops when that
 //! is below the tolerance (|ΔE| itself is too small by 1/(1−q)), and adds it as a geometric tail in the shape of the
-//! last increment. Where q is large, [`stiff`] solves for the rest.
+//! last increment. Where q is large, Anderson's acceleration solves for the
+//! rest on a fixed set of directions.
 //!
 //! Irradiances in lux. Everything is linear in the light but for the decision when to stop.
 
@@ -309,6 +310,8 @@ impl Bounces<'_> {
 
     fn run(&mut self, direct: &[Rgb], global_cache: &mut [Rgb]) -> Result<(), Cancelled> {
         let brightest = self.surfels().list.iter().fold(0.0f32, |m, s| m.max(s.albedo.max_element()));
+        // Keeps 1 − q away from zero, whatever the caller's albedos.
+        let brightest = brightest.min(luxel_scene::material::MAX_ALBEDO);
         let mut current_cache = direct.to_vec();
         let mut q = f64::from(brightest);
         for bounce in 1..=self.settings.max_bounces {

@@ -4,32 +4,38 @@ use glam::Vec3;
 
 use crate::{Rgb, surfel::Surfels};
 
-/// A surfel as the sweep sees it: 48 bytes, lengths in voxel edges, axes turned so that x is the dominant one.
+/// Flags in [`SweepSurfel::key`]: the next surfel lies in the same voxel; the surfel does not fill its plane.
+const SHARES_VOXEL: u32 = 1 << 31;
+const PARTIAL: u32 = 1 << 30;
+
+/// A surfel as the sweep sees it: 32 bytes, half a cache line. Lengths in voxel edges, axes turned so that x is the
+/// dominant one.
 #[derive(Clone, Copy, Default)]
-#[repr(C)]
+#[repr(C, align(32))]
 pub struct SweepSurfel {
     pub normal: [f32; 3],
     pub centroid: [f32; 3],
     /// n · (centre of the voxel − centroid).
     pub center_height: f32,
-    /// Line key y·stride + z before the shift of its slice.
-    pub key: u32,
-    /// Share of the lines that it stops, of 65535.
-    pub fill: u16,
-    /// Slice x, doubled; plus 1 where the next surfel lies in the same voxel.
-    slice_and_more: u16,
-    /// Radiosity B that leaves it.
-    pub radiosity: [f32; 3],
+    /// Line key y·stride + z before the shift of its slice, and flags.
+    key: u32,
 }
 
 impl SweepSurfel {
-    pub fn slice(&self) -> i32 {
-        i32::from(self.slice_and_more >> 1)
+    #[inline(always)]
+    pub fn key(&self) -> u32 {
+        self.key & !(SHARES_VOXEL | PARTIAL)
     }
 
     /// The next surfel lies in the same voxel.
+    #[inline(always)]
     pub fn shares_voxel(&self) -> bool {
-        self.slice_and_more & 1 != 0
+        self.key & SHARES_VOXEL != 0
+    }
+
+    #[inline(always)]
+    pub fn is_partial(&self) -> bool {
+        self.key & PARTIAL != 0
     }
 
     /// n · (p − c): how far a point lies in front of the surfel's plane.
@@ -49,6 +55,10 @@ impl SweepSurfel {
 pub struct AxisCopy {
     pub axis: usize,
     pub surfels: Vec<SweepSurfel>,
+    /// Radiosity B that leaves each of them.
+    pub radiosity: Vec<[f32; 3]>,
+    /// Share of the lines that each of them stops, of 65536; read for partial ones only.
+    pub fill: Vec<u16>,
     /// First surfel of every slice, and the end.
     pub slices: Vec<u32>,
     /// Voxels along the turned axes.
@@ -89,28 +99,28 @@ impl AxisCopy {
         // Slopes are at most 1, so lines shift by at most the number of slices along a minor axis.
         let stride = (size[2] + size[0] + 2) as u32;
         let count = surfels.list.len();
+        let at = |k: usize| order.map_or(k, |order| order[k] as usize);
         let mut sorted = Vec::with_capacity(count);
         let mut slices = vec![0u32; size[0] as usize + 1];
         for k in 0..count {
-            let at = |k: usize| order.map_or(k, |order| order[k] as usize);
             let s = &surfels.list[at(k)];
             let more = k + 1 < count && surfels.list[at(k + 1)].voxel == s.voxel;
             let voxel = s.voxel.to_array();
             let (x, y, z) = (voxel[axis], voxel[(axis + 1) % 3], voxel[(axis + 2) % 3]);
             let centroid = surfels.grid.local(s.centroid);
+            let flags = if more { SHARES_VOXEL } else { 0 } | if s.fill < 1.0 { PARTIAL } else { 0 };
             slices[x as usize + 1] += 1;
             sorted.push(SweepSurfel {
                 normal: turn(s.normal),
                 centroid: turn(centroid),
                 center_height: s.normal.dot(s.voxel.as_vec3() + 0.5 - centroid),
-                key: y as u32 * stride + z as u32,
-                fill: (s.fill.clamp(0.0, 1.0) * 65535.0).ceil() as u16,
-                slice_and_more: (x as u16) << 1 | u16::from(more),
-                radiosity: radiosity[at(k)].to_array(),
+                key: (y as u32 * stride + z as u32) | flags,
             });
         }
+        let fill = (0..count).map(|k| (surfels.list[at(k)].fill.clamp(0.0, 1.0) * 65535.0).ceil() as u16).collect();
+        let radiosity = (0..count).map(|k| radiosity[at(k)].to_array()).collect();
         (1..slices.len()).for_each(|k| slices[k] += slices[k - 1]);
-        Self { axis, surfels: sorted, slices, size, stride }
+        Self { axis, surfels: sorted, radiosity, fill, slices, size, stride }
     }
 
     /// Adds sums in the sorted order to sums in the order of the list.

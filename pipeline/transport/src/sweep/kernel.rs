@@ -28,17 +28,12 @@ const SKY: u32 = u32::MAX;
 const UNKNOWN: u32 = u32::MAX - 1;
 /// The line has passed through a surface from its front and sees the black inside of it.
 const BLACK: u32 = u32::MAX - 2;
-const FIRST_SPECIAL: u32 = BLACK;
 
 /// No receiver yet.
 const NONE: u32 = 0x7fff_ffff;
 /// Set on a receiver: the line went through its surface.
 const BLOCKED: u32 = 0x8000_0000;
 
-/// Slices between two surfels of one surface, at most.
-const RUN_GAP: i32 = 2;
-/// Slices across which a wall is thin, at most.
-const THIN_GAP: i32 = 3;
 /// Distance from a plane within which two surfels may belong to one surface, and the cosine that makes them coplanar.
 const PLANE: f32 = 0.4;
 const COPLANAR: f32 = 0.5;
@@ -58,6 +53,8 @@ pub struct Cell {
 /// Everything that a direction holds fixed.
 struct Ray<'a> {
     surfels: &'a [SweepSurfel],
+    radiosity: &'a [[f32; 3]],
+    fill: &'a [u16],
     lines: &'a Lines,
     sky: [f32; 3],
     /// What is seen through the back of a surface: black, or unknown where nothing but fronts can be seen.
@@ -76,21 +73,35 @@ pub fn sweep<const BANDS: usize, const SLOTS: usize>(
     let start = if closed { UNKNOWN } else { SKY };
     table.clear();
     table.resize(lines.cells, Cell { emitter: start, receiver: NONE, older_emitter: UNKNOWN, older_receiver: NONE });
-    let ray = Ray { surfels: &copy.surfels, lines, sky: sky.to_array(), inside: if closed { UNKNOWN } else { BLACK } };
+    let ray = Ray {
+        surfels: &copy.surfels,
+        radiosity: &copy.radiosity,
+        fill: &copy.fill,
+        lines,
+        sky: sky.to_array(),
+        inside: if closed { UNKNOWN } else { BLACK },
+    };
     for x in lines.order() {
         let slice = &lines.slices[x];
         let (mut i, end) = (copy.slices[x] as usize, copy.slices[x + 1] as usize);
         while i < end {
-            let at = (copy.surfels[i].key + slice.shift) as usize;
-            if copy.surfels[i].shares_voxel() {
+            let s = &copy.surfels[i];
+            let at = s.key() + slice.shift;
+            let cell = &mut table[at as usize];
+            if !s.shares_voxel() {
+                ray.pass::<BANDS, SLOTS>(i, slice, at, cell, sums);
+                i += 1;
+            } else if !copy.surfels[i + 1].shares_voxel() {
+                let (a, b) = if ray.depth(i + 1) < ray.depth(i) { (i + 1, i) } else { (i, i + 1) };
+                ray.pass::<BANDS, SLOTS>(a, slice, at, cell, sums);
+                ray.pass::<BANDS, SLOTS>(b, slice, at, cell, sums);
+                i += 2;
+            } else {
                 let voxel = ray.by_depth(i);
                 for &k in voxel.as_slice() {
-                    ray.pass::<BANDS, SLOTS>(k as usize, slice, at as u32, &mut table[at], sums);
+                    ray.pass::<BANDS, SLOTS>(k as usize, slice, at, cell, sums);
                 }
                 i += voxel.len;
-            } else {
-                ray.pass::<BANDS, SLOTS>(i, slice, at as u32, &mut table[at], sums);
-                i += 1;
             }
         }
     }
@@ -109,15 +120,21 @@ impl Voxel {
 }
 
 impl Ray<'_> {
-    /// Sorts by depth along σ; of equals (the faces of a sheet) the receiver comes first.
+    /// Depth along σ; of equals (the faces of a sheet) the receiver comes first.
+    #[inline(always)]
+    fn depth(&self, i: usize) -> (f32, bool) {
+        let (s, sigma) = (&self.surfels[i], &self.lines.sigma);
+        let c = &s.centroid;
+        (c[0] * sigma[0] + c[1] * sigma[1] + c[2] * sigma[2], s.along(sigma) > 0.0)
+    }
+
+    /// Sorts a voxel of three and more by depth.
+    #[inline(never)]
     fn by_depth(&self, first: usize) -> Voxel {
-        let sigma = &self.lines.sigma;
         let mut voxel = Voxel { surfels: [0; MAX_PER_VOXEL], len: 0 };
         let mut keys = [(0.0f32, false); MAX_PER_VOXEL];
         for i in first..first + MAX_PER_VOXEL {
-            let s = &self.surfels[i];
-            let c = &s.centroid;
-            let key = (c[0] * sigma[0] + c[1] * sigma[1] + c[2] * sigma[2], s.along(sigma) > 0.0);
+            let key = self.depth(i);
             let mut k = voxel.len;
             while k > 0 && key < keys[k - 1] {
                 (keys[k], voxel.surfels[k]) = (keys[k - 1], voxel.surfels[k - 1]);
@@ -125,7 +142,7 @@ impl Ray<'_> {
             }
             (keys[k], voxel.surfels[k]) = (key, i as u32);
             voxel.len += 1;
-            if !s.shares_voxel() {
+            if !self.surfels[i].shares_voxel() {
                 break;
             }
         }
@@ -144,15 +161,15 @@ impl Ray<'_> {
         let s = &self.surfels[i];
         let d = s.along(&self.lines.sigma);
         if d > 0.0 {
-            self.emit(i, s, slice, at, cell);
+            self.emit(i as u32, s, slice, at, cell);
         } else if d < 0.0 {
-            let from = self.receive(i, s, slice, at, cell);
+            let from = self.receive(i as u32, s, slice, at, cell);
             let w = -d * self.lines.weight;
             let light = match from {
                 UNKNOWN => return,
                 BLACK => &[0.0; 3],
                 SKY => &self.sky,
-                e => &self.surfels[e as usize].radiosity,
+                e => &self.radiosity[e as usize],
             };
             let sum = &mut sums[i];
             (0..BANDS).for_each(|b| sum[b] += w * light[b]);
@@ -162,25 +179,27 @@ impl Ray<'_> {
 
     /// Whether the surfel fills the tube of this line: the same answer for all surfels of a tube with equal fill.
     #[inline(always)]
-    fn stops(&self, s: &SweepSurfel, at: u32) -> bool {
-        s.fill == u16::MAX || {
-            let mixed = (at ^ self.lines.seed).wrapping_mul(0x9e37_79b1);
-            let mixed = (mixed ^ (mixed >> 15)).wrapping_mul(0x85eb_ca77);
-            ((mixed >> 16) as u16) < s.fill
-        }
+    fn stops(&self, i: u32, s: &SweepSurfel, at: u32) -> bool {
+        !s.is_partial() || self.partial_stops(i, at)
+    }
+
+    #[inline(never)]
+    fn partial_stops(&self, i: u32, at: u32) -> bool {
+        let mixed = (at ^ self.lines.seed).wrapping_mul(0x9e37_79b1);
+        let mixed = (mixed ^ (mixed >> 15)).wrapping_mul(0x85eb_ca77);
+        ((mixed >> 16) as u16) < self.fill[i as usize]
     }
 
     /// The line leaves a surface on its front.
     #[inline(always)]
-    fn emit(&self, i: usize, s: &SweepSurfel, slice: &Slice, at: u32, cell: &mut Cell) {
+    fn emit(&self, i: u32, s: &SweepSurfel, slice: &Slice, at: u32, cell: &mut Cell) {
         let Cell { emitter, receiver, .. } = *cell;
-        if receiver == NONE && emitter < FIRST_SPECIAL {
+        if receiver == NONE && slice.run.has(emitter) {
             let e = &self.surfels[emitter as usize];
-            let near = (s.slice() - e.slice()).abs() <= RUN_GAP;
-            if near && e.height(&s.centroid).abs() < PLANE && e.along(&s.normal) > COPLANAR {
+            if e.height(&s.centroid).abs() < PLANE && e.along(&s.normal) > COPLANAR {
                 // The same surface goes on.
-                if self.stops(s, at) {
-                    cell.emitter = i as u32;
+                if self.stops(i, s, at) {
+                    cell.emitter = i;
                 }
                 return;
             }
@@ -188,60 +207,57 @@ impl Ray<'_> {
         let crossed = receiver != NONE && receiver & BLOCKED != 0;
         if emitter != UNKNOWN && !crossed {
             let brushes = s.center_height + s.along(&slice.previous) > 0.0;
-            if brushes || !self.stops(s, at) {
+            if brushes || !self.stops(i, s, at) {
                 return;
             }
         }
-        *cell = Cell { emitter: i as u32, receiver: NONE, older_emitter: emitter, older_receiver: receiver };
+        *cell = Cell { emitter: i, receiver: NONE, older_emitter: emitter, older_receiver: receiver };
     }
 
     /// The line arrives at a surface on its front; returns where its light comes from.
     #[inline(always)]
-    fn receive(&self, i: usize, s: &SweepSurfel, slice: &Slice, at: u32, cell: &mut Cell) -> u32 {
-        let blocks = if s.center_height + s.along(&slice.next) < 0.0 && self.stops(s, at) { BLOCKED } else { 0 };
+    fn receive(&self, i: u32, s: &SweepSurfel, slice: &Slice, at: u32, cell: &mut Cell) -> u32 {
+        let behind = s.center_height + s.along(&slice.next) < 0.0;
+        let blocks = if behind && self.stops(i, s, at) { BLOCKED } else { 0 };
         if cell.receiver != NONE {
-            let last = &self.surfels[(cell.receiver & !BLOCKED) as usize];
             let blocked = cell.receiver & BLOCKED;
-            let gap = (s.slice() - last.slice()).abs();
-            if shares(last, s, gap) {
-                cell.receiver = i as u32 | blocked | blocks;
+            if self.shares(cell.receiver & !BLOCKED, s, slice) {
+                cell.receiver = i | blocked | blocks;
                 return cell.emitter;
             }
-            cell.receiver = i as u32 | blocks;
+            let thin = slice.thin.has(cell.receiver & !BLOCKED);
+            cell.receiver = i | blocks;
             if blocked == 0 {
                 // The surface before ended before the line crossed it.
                 return cell.emitter;
             }
             cell.emitter = UNKNOWN;
-            return if gap <= THIN_GAP { UNKNOWN } else { self.inside };
+            return if thin { UNKNOWN } else { self.inside };
         }
-        if cell.emitter < FIRST_SPECIAL {
-            let e = &self.surfels[cell.emitter as usize];
-            if (s.slice() - e.slice()).abs() <= THIN_GAP && e.height(&s.centroid) <= BEHIND {
-                return self.look_through(i, s, blocks, cell);
-            }
+        if slice.thin.has(cell.emitter) && self.surfels[cell.emitter as usize].height(&s.centroid) <= BEHIND {
+            return self.look_through(i, s, slice, blocks, cell);
         }
-        cell.receiver = i as u32 | blocks;
+        cell.receiver = i | blocks;
         cell.emitter
     }
 
     /// The receiver lies behind the emitter's plane: a thin wall or a convex edge, of which it is the near side. It
     /// takes what the line carried before; the emitter stays for those that come after.
     #[inline(always)]
-    fn look_through(&self, i: usize, s: &SweepSurfel, blocks: u32, cell: &mut Cell) -> u32 {
+    fn look_through(&self, i: u32, s: &SweepSurfel, slice: &Slice, blocks: u32, cell: &mut Cell) -> u32 {
         let older = cell.older_receiver;
         let blocked = if older == NONE { 0 } else { older & BLOCKED };
-        let open = blocked == 0 || {
-            let last = &self.surfels[(older & !BLOCKED) as usize];
-            shares(last, s, (s.slice() - last.slice()).abs())
-        };
-        cell.older_receiver = i as u32 | blocked | blocks;
+        let open = blocked == 0 || self.shares(older & !BLOCKED, s, slice);
+        cell.older_receiver = i | blocked | blocks;
         if open { cell.older_emitter } else { UNKNOWN }
     }
-}
 
-/// Two receivers of a line belong to one surface, or to surfaces that touch without hiding each other.
-#[inline(always)]
-fn shares(last: &SweepSurfel, s: &SweepSurfel, gap: i32) -> bool {
-    gap <= RUN_GAP && !(last.height(&s.centroid) < -PLANE && s.height(&last.centroid) > PLANE)
+    /// Two receivers of a line belong to one surface, or to surfaces that touch without hiding each other.
+    #[inline(always)]
+    fn shares(&self, last: u32, s: &SweepSurfel, slice: &Slice) -> bool {
+        slice.run.has(last) && {
+            let last = &self.surfels[last as usize];
+            !(last.height(&s.centroid) < -PLANE && s.height(&last.centroid) > PLANE)
+        }
+    }
 }

@@ -8,6 +8,11 @@ use glam::Vec3;
 use super::axis::AxisCopy;
 use crate::directions::Direction;
 
+/// Slices between two surfels of one surface, at most.
+const RUN_GAP: usize = 2;
+/// Slices across which a wall is thin, at most.
+const THIN_GAP: usize = 3;
+
 /// What all voxels of a slice have in common.
 #[derive(Clone, Copy)]
 pub struct Slice {
@@ -16,6 +21,31 @@ pub struct Slice {
     /// From a voxel to the next and to the previous one on its line.
     pub next: [f32; 3],
     pub previous: [f32; 3],
+    /// Surfels at most two and at most three slices behind. Surfels are sorted by slice, so what is near can be told
+    /// from an index.
+    pub run: Near,
+    pub thin: Near,
+}
+
+/// A range of surfels; no special index lies in it.
+#[derive(Clone, Copy)]
+pub struct Near {
+    first: u32,
+    count: u32,
+}
+
+impl Near {
+    fn new(copy: &AxisCopy, x: usize, slices: usize, forward: bool) -> Self {
+        let first = if forward { copy.slices[x.saturating_sub(slices)] } else { 0 };
+        let end =
+            if forward { copy.surfels.len() as u32 } else { copy.slices[(x + slices + 1).min(copy.slices.len() - 1)] };
+        Self { first, count: end - first }
+    }
+
+    #[inline(always)]
+    pub fn has(self, surfel: u32) -> bool {
+        surfel.wrapping_sub(self.first) < self.count
+    }
 }
 
 pub struct Lines {
@@ -61,6 +91,8 @@ impl Lines {
             shift: (most[0] - floor(1, x)) as u32 * copy.stride + (most[1] - floor(2, x)) as u32,
             next: step(x, ahead),
             previous: step(x, -ahead),
+            run: Near::new(copy, x as usize, RUN_GAP, forward),
+            thin: Near::new(copy, x as usize, THIN_GAP, forward),
         };
         let rows = copy.size[1] + most[0] - least[0];
         Self {

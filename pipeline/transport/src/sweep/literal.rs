@@ -26,7 +26,7 @@ pub fn sweep<const BANDS: usize, const SLOTS: usize>(
         let (start, end) = (copy.slices[x] as usize, copy.slices[x + 1] as usize);
         for (i, (s, sum)) in copy.surfels.iter().zip(sums.iter_mut()).enumerate().take(end).skip(start) {
             let d = s.along(&lines.sigma);
-            let cell = &mut table[(s.key + shift) as usize];
+            let cell = &mut table[(s.key() + shift) as usize];
             let before = std::mem::replace(cell, i as u32);
             if d < 0.0 {
                 let w = -d * lines.weight;
@@ -34,8 +34,8 @@ pub fn sweep<const BANDS: usize, const SLOTS: usize>(
                 let light = if before == SKY {
                     Some(&sky)
                 } else {
-                    let e = &copy.surfels[before as usize];
-                    (e.along(&lines.sigma) > 0.0).then_some(&e.radiosity)
+                    let faces = copy.surfels[before as usize].along(&lines.sigma) > 0.0;
+                    faces.then(|| &copy.radiosity[before as usize])
                 };
                 if let Some(light) = light {
                     (0..BANDS).for_each(|b| sum[b] += w * light[b]);

@@ -37,7 +37,7 @@ const PER_GROUP: usize = 4;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
 pub enum Rule {
     /// Runs of voxels of one surface share what the line carries; plane tests and fill fractions tell a surface that
-    /// the line crosses from one that it brushes. See [`kernel`].
+    /// the line crosses from one that it brushes. `kernel.rs` has the rule.
     #[default]
     Surface,
     /// The paper's rule: the next voxel in the ordered list is the visible one. For comparison.

@@ -41,6 +41,8 @@ fn rows(scene: &Scene, n: u32, count: u32, rule: Rule, closed: bool) -> (f64, f3
     let directions = DirectionSet::Fibonacci.directions(count, 0);
     let rows = sweep.apply(&directions, &ones, None, true, &Silent).unwrap();
     let sum: f64 = surfels.list.iter().zip(&rows).map(|(s, r)| f64::from(s.area * r.x)).sum();
+    // No row above 1, so the spectral radius of ρT is at most the largest albedo and bounces cannot diverge.
+    assert!(rows.iter().all(|r| r.x <= 1.0 + 1e-5), "a row gains light");
     (sum / surfels.area(), rows.iter().fold(f32::INFINITY, |m, r| m.min(r.x)))
 }
 

@@ -5,7 +5,7 @@ use glam::{IVec3, Vec3};
 use luxel_scene::{Scene, build::Builder};
 use luxel_transport::{
     Rgb,
-    gather::Receiver,
+    gather::{Receiver, nodes::Cell},
     geometry::Geometry,
     surfel::{Grid, Solution, Surfel, Surfels},
 };
@@ -116,6 +116,23 @@ pub fn receivers(geometry: &Geometry, surfels: &Surfels, step: usize) -> Vec<Rec
         Receiver::on_triangle(geometry, s.triangle, u, v, surfels.grid.edge, i as u64)
     };
     surfels.list.iter().enumerate().step_by(step).map(at).collect()
+}
+
+/// A chart of n × n texels on each of the first `quads` quads of a scene.
+pub fn charts(geometry: &Geometry, quads: u32, n: u32) -> (Vec<Receiver>, Vec<Cell>) {
+    let (mut receivers, mut cells) = (Vec::new(), Vec::new());
+    for chart in 0..quads {
+        let footprint = (2.0 * geometry.triangles[2 * chart as usize].area()).sqrt() / n as f32;
+        for (y, x) in (0..n).flat_map(|y| (0..n).map(move |x| (y, x))) {
+            let (s, t) = ((x as f32 + 0.5) / n as f32, (y as f32 + 0.5) / n as f32);
+            // The first triangle lies beside the quad's first edge, the second one beside its last.
+            let (triangle, u, v) = if s >= t { (2 * chart, s - t, t) } else { (2 * chart + 1, s, t - s) };
+            let seed = u64::from((chart * n + y) * n + x);
+            receivers.push(Receiver::on_triangle(geometry, triangle, u, v, footprint, seed));
+            cells.push(Cell { chart, x, y });
+        }
+    }
+    (receivers, cells)
 }
 
 /// A smooth field with bright and dark regions, in relative coordinates of the frame.

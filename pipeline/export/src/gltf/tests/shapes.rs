@@ -164,6 +164,21 @@ fn several_pages_split_materials_and_number_the_nodes() {
 }
 
 #[test]
+fn extras_that_are_no_object_stay_and_are_reported() {
+    let mut file = two_boxes();
+    file.root["nodes"][0]["extras"] = json!("a word");
+    file.root["materials"][0]["extras"] = json!(3);
+    let original = file.read();
+    let scene = import(&original);
+    let glb = bake(&original, &scene, &split(&scene, 2));
+    let root = valid(&glb);
+    assert_eq!(root["nodes"][0]["extras"], "a word");
+    assert_eq!((&root["materials"][0]["extras"], &root["materials"][1]["extras"]), (&json!(3), &json!(3)));
+    assert_eq!(root["textures"][1]["extras"]["luxel"]["lightmap"], "level.lightmap.1.exr");
+    assert!(glb.notices.len() == 1 && glb.notices[0].message.contains("nodes[0] \"a\""), "{:?}", glb.notices);
+}
+
+#[test]
 fn primitives_of_one_mesh_may_lie_on_different_pages() {
     let mut file = File::new();
     let (a, b) = (file.quad(0.0), file.quad(2.0));

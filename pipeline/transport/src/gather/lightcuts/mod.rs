@@ -4,24 +4,26 @@
 //! E = Σ_C S_C·K(r_C)·V(r_C)  +  (1/N) Σᵢ (Bᵢ − B̄)·wᵢ  +  B̄·F
 //!     clusters of the cut       near field                  constant part
 //!
-//! S_C = Σ_{j∈C} (Bⱼ − B̄)·Aⱼ/π     r_C  representative light, V transmittance of its shadow ray
+//! S_C for Σ_{j∈C} (Bⱼ − B̄)·Aⱼ/π   r_C  representative light, V transmittance of its shadow ray
 //! K = min(G, b), b = 1/(3h)²       wᵢ = max(0, 1 − b/Gᵢ) at the hits of N cosine rays (Kollig & Keller 2004)
 //! ```
 //!
-//! B̄, the median radiosity that the near rays see, is a control variate (the median makes Σ|Bⱼ − B̄| smallest). In a closed scene the share F of the hemisphere
-//! that surfels cover is known in closed form ((1 + cos γ)/2 for a shading normal bent by γ, else 1), so only deviations
-//! from B̄ go through clusters, and a constant field comes out exactly, whatever the cut. Any B̄ gives the same
-//! expectation; one that fits makes the bounds small. In a scene that lit surfels can see out of, or for a receiver
-//! with a ray that meets a veil or a side without surfels, B̄ = 0: the plain cut.
-//! Representatives stand for S_C without bias (see [`crate::lighttree`]); taking the exact S_C with a
-//! representative chosen by intensity alone was 2 to 5 % too dark, because bright lights are nearer than dark ones.
+//! B̄, the median radiosity that the near rays see, is a control variate (the median makes Σ|Bⱼ − B̄| smallest). In a
+//! closed scene the share F of the hemisphere that surfels cover is known in closed form ((1 + cos γ)/2 for a shading
+//! normal bent by γ, else 1), so only deviations from B̄ go through clusters, and a constant field comes out exactly,
+//! whatever the cut. Any B̄ gives the same expectation; one that fits makes the bounds small. Where some of 8192 probe
+//! rays from lit surfels leave the scene, and for a receiver with a near ray that meets a veil or a side without
+//! surfels, B̄ = 0: the plain cut.
+//!
+//! Representatives stand for S_C without bias (see [`crate::lighttree`]); taking the exact S_C with a representative
+//! chosen by intensity alone was 2 to 5 % too dark, because bright lights are nearer than dark ones.
 //!
 //! **Bound.** With P and M the sums of the positive and negative parts of (Bⱼ − B̄)·Aⱼ/π, the truth of a cluster lies
 //! between −M·K⁺ and P·K⁺, its estimate between 0 and S_C·K⁺. P is bounded by the chord between the cluster's least and
-//! largest B (convexity: P is largest when all B lie at the ends). The cut is refined until every
-//! cluster's bound is below the threshold times the running total; [`Gathered::bound`] is the *sum* over the cut, a
-//! certainty about clustering, and many times the typical error. It covers neither the near rays' noise nor that
-//! surfels are patches, not points.
+//! largest B (convexity: P is largest when all B lie at the ends). The cut is refined until every cluster's bound is
+//! below the threshold times the running total; [`Gathered::bound`] is the *sum* over the cut, a certainty about
+//! clustering, and many times the typical error. It covers neither the near rays' noise nor that surfels are patches,
+//! not points.
 
 mod cut;
 
