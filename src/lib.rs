@@ -1,7 +1,34 @@
-//! luxel: an incremental lightmap baker.
+//! luxel bakes light into glTF levels.
+//!
+//! [`bake`] goes from a scene file to files, [`bake_scene`] from a [`Scene`](luxel_scene::Scene) to images in memory.
+//! Both run the same chain, each link of which is a pure function of its input and of the settings it reads:
+//!
+//! | stage | input → output | made anew when | left out when |
+//! |---|---|---|---|
+//! | import | files → `Scene` | a file that was read changes | never |
+//! | unwrap | `Scene` → `Atlas` | geometry, authored TEXCOORD_1, size, density, padding | nothing receives light |
+//! | rays | geometry → `Rays` | geometry, holes | there is no light |
+//! | surfels | geometry, materials → `Surfels` | geometry, materials, voxels | light does not bounce, or is not wanted |
+//! | shoot | lights, `Surfels` → direct irradiance at surfels | lights, surfels, shadow samples, photons | the sky is the only light |
+//! | propagate | direct irradiance → `Solution` | the above, sky, directions, bounces, tolerance | as surfels |
+//! | cache | `Solution` → octree file | the above | as surfels |
+//! | direct | `Atlas`, lights → E at texels | geometry, lights, atlas, shadow samples | no lamp, sun or emissive surface |
+//! | sky | `Atlas`, sky → E at texels | geometry, sky, atlas, sky rays | there is no sky |
+//! | gather | `Atlas`, `Solution` → E at texels | solution, atlas, gather settings | as surfels |
+//! | finish | E at texels → `Lightmap`s | any of the above | nothing receives light |
+//! | preview | `Lightmap`s → picture | any of the above | nothing receives light |
+//! | export | everything → .exr, .glb, .png, .json | any of the above | never |
+//!
+//! [`plan`] decides what is left out before anything runs, and the report tells it. No stage reads a clock or the
+//! number of threads to decide a value; only import, cache and export touch files.
 
+pub mod bake;
 pub mod discover;
+mod error;
 pub mod plan;
 pub mod preview;
 pub mod settings;
 pub mod store;
+
+pub use bake::{Baked, Lit, Request, bake, bake_scene, plan_file};
+pub use error::Error;

@@ -18,7 +18,9 @@ pub enum Stage {
     Surfels,
     Shoot,
     Propagate,
+    Refresh,
     Cache,
+    Clear,
     Direct,
     Sky,
     Gather,
@@ -28,14 +30,16 @@ pub enum Stage {
 }
 
 impl Stage {
-    pub const ALL: [Self; 13] = [
+    pub const ALL: [Self; 15] = [
         Self::Import,
         Self::Unwrap,
         Self::Rays,
         Self::Surfels,
         Self::Shoot,
         Self::Propagate,
+        Self::Refresh,
         Self::Cache,
+        Self::Clear,
         Self::Direct,
         Self::Sky,
         Self::Gather,
@@ -52,7 +56,9 @@ impl Stage {
             Self::Surfels => "surfels",
             Self::Shoot => "shoot",
             Self::Propagate => "propagate",
+            Self::Refresh => "refresh",
             Self::Cache => "cache",
+            Self::Clear => "clear",
             Self::Direct => "direct",
             Self::Sky => "sky",
             Self::Gather => "gather",
@@ -258,12 +264,16 @@ fn decide(stage: Stage, facts: &Facts, settings: &Settings) -> Result<String, St
         Stage::Preview => yes("a picture of the result"),
         _ if !lit => no("the scene has no light"),
         Stage::Rays if facts.passable => yes("some surfaces have holes or let light through"),
+        Stage::Clear => yes("moves texels out of the geometry that buries them, or marks them"),
         Stage::Rays => yes("every surface is solid: no material is looked up along a ray"),
         Stage::Direct if settings.only == Only::Indirect => no("only indirect light is wanted"),
         Stage::Direct if !facts.has_direct() => no("the sky is the only light"),
         Stage::Direct => Ok(facts.sources()),
         Stage::Sky if !facts.sky => no("there is no sky"),
         Stage::Sky if settings.only == Only::Direct => no("only direct light is wanted"),
+        Stage::Sky if settings.gather_mode() == GatherMode::Lookup && !facts.black => {
+            no("the cache that is looked up holds the sky's light")
+        }
         Stage::Sky => Ok(format!("{} rays per texel", settings.sky_rays.0)),
         _ if settings.only == Only::Direct => no("only direct light is wanted"),
         _ if facts.black => no("no surface reflects light"),
@@ -280,12 +290,14 @@ fn decide(stage: Stage, facts: &Facts, settings: &Settings) -> Result<String, St
             settings.directions.0,
             if facts.grey { "one band: everything is grey" } else { "three bands" }
         )),
+        Stage::Refresh if settings.refresh.0 == 0 => no("switched off"),
+        Stage::Refresh => Ok(format!("{} rays per surfel", settings.refresh.0)),
         Stage::Cache => yes("octree of the light at surfels"),
         Stage::Gather => Ok(match settings.gather_mode() {
             GatherMode::Lookup => "looked up in the cache".into(),
             GatherMode::Final => format!("{} rays per texel", settings.gather_rays.0),
             GatherMode::Lightcuts | GatherMode::Auto => {
-                format!("lightcuts to {} % of a texel's light", f64::from(settings.cut_error.0) * 100.0)
+                format!("lightcuts to {} % of a texel's light", settings.cut_error.0 * 100.0)
             }
         }),
     }
@@ -363,7 +375,7 @@ mod tests {
     fn without_light_nothing_is_transported() {
         let plan = Plan::new(&room(Vec3::splat(0.5), Vec3::ZERO), &Settings::default());
         use Stage::*;
-        assert_eq!(left_out(&plan), [Rays, Surfels, Shoot, Propagate, Cache, Direct, Sky, Gather]);
+        assert_eq!(left_out(&plan), [Rays, Surfels, Shoot, Propagate, Refresh, Cache, Clear, Direct, Sky, Gather]);
         assert!(plan.runs(Unwrap) && plan.runs(Export), "a dark scene still gets its black lightmap");
         assert_eq!(plan.memory.surfels, 0);
     }
@@ -383,7 +395,7 @@ mod tests {
         scene.materials[1].base_color = Vec3::ZERO.extend(1.0);
         let plan = Plan::new(&scene, &Settings::default());
         use Stage::*;
-        assert_eq!(left_out(&plan), [Surfels, Shoot, Propagate, Cache, Sky, Gather]);
+        assert_eq!(left_out(&plan), [Surfels, Shoot, Propagate, Refresh, Cache, Sky, Gather]);
         assert!(plan.reason(Propagate).contains("reflects"));
     }
 
@@ -392,7 +404,7 @@ mod tests {
         let scene = room(Vec3::splat(0.5), Vec3::ONE);
         let only = |only| Plan::new(&scene, &Settings { only, ..Settings::default() });
         use Stage::*;
-        assert_eq!(left_out(&only(Only::Direct)), [Surfels, Shoot, Propagate, Cache, Sky, Gather]);
+        assert_eq!(left_out(&only(Only::Direct)), [Surfels, Shoot, Propagate, Refresh, Cache, Sky, Gather]);
         assert_eq!(left_out(&only(Only::Indirect)), [Direct, Sky]);
     }
 

@@ -6,7 +6,7 @@
 //! under the mean irradiance of the scene, as under a light probe. Radiances in cd/m², linear RGB.
 
 use glam::{DAffine3, DMat3, DVec3, Vec3};
-use luxel_scene::{Camera, Cancelled, Progress};
+use luxel_scene::{Camera, Cancelled, Progress, Scene};
 use luxel_transport::{
     Rgb,
     rays::{OFFSET, Rays},
@@ -17,7 +17,7 @@ use rayon::prelude::*;
 /// Longest side of the picture in pixels.
 const SIDE: u32 = 960;
 /// Side of the square of samples in a pixel.
-const SUPERSAMPLE: u32 = 3;
+const SUPERSAMPLE: u32 = 2;
 /// Surfaces along one ray at most.
 const MAX_SURFACES: u32 = 64;
 /// Rays of a candidate view, across and down.
@@ -52,12 +52,7 @@ impl Preview<'_> {
             Some(camera) => (camera.clone(), format!("camera {:?}", camera.name)),
             None => (self.choose(progress)?, "chosen".into()),
         };
-        let aspect = camera.aspect.filter(|a| (0.1..=10.0).contains(a)).unwrap_or(1.5);
-        let (width, height) = if aspect >= 1.0 {
-            (SIDE, (f64::from(SIDE) / aspect).round().max(1.0) as u32)
-        } else {
-            ((f64::from(SIDE) * aspect).round().max(1.0) as u32, SIDE)
-        };
+        let (width, height) = size(&camera);
         progress.begin("preview", u64::from(height));
         let lens = Lens::new(&camera, self.rays, f64::from(width) / f64::from(height));
         let rows: Vec<Vec<Rgb>> = (0..height)
@@ -168,6 +163,21 @@ impl Preview<'_> {
         let spread = (depths.iter().map(|d| (d - mean) * (d - mean)).sum::<f64>() / n).sqrt();
         seen / f64::from(across * down) * (0.5 + spread.min(0.25))
     }
+}
+
+impl Picture {
+    /// What a scene without any light looks like.
+    pub fn black(scene: &Scene) -> Self {
+        let (width, height) = scene.cameras.first().map_or((SIDE, SIDE * 2 / 3), size);
+        Self { width, height, radiance: vec![Rgb::ZERO; width as usize * height as usize], view: "dark".into() }
+    }
+}
+
+/// Width and height of a camera's picture in pixels.
+fn size(camera: &Camera) -> (u32, u32) {
+    let aspect = camera.aspect.filter(|a| (0.1..=10.0).contains(a)).unwrap_or(1.5);
+    let side = f64::from(SIDE);
+    if aspect >= 1.0 { (SIDE, (side / aspect).round() as u32) } else { ((side * aspect).round() as u32, SIDE) }
 }
 
 /// A pinhole in frame space.

@@ -119,6 +119,8 @@ settings! {
         ["count"] bounces: Samples = Samples(64);
         /// Bouncing stops when the light still to come is a smaller share of all light than this.
         ["share"] tolerance: Tolerance = Tolerance(3e-4);
+        /// Rays per surfel that gather its indirect light anew after the bounces, against the grain of the voxels; 0 is off.
+        ["count"] refresh: Count = Count(64);
         /// Whether no ray can leave the scene: then what escapes between two voxels is put back.
         ["choice"] closed: Closed = Closed::Auto;
         /// Shoots the lights as this many photons, as the paper does, instead of computing their light at surfels
@@ -158,6 +160,7 @@ impl Settings {
                 voxels: Voxels::Budget(25_000),
                 directions: Samples(256),
                 tolerance: Tolerance(3e-3),
+                refresh: Count(0),
                 cut_error: Tolerance(0.05),
                 near_rays: Samples(8),
                 gather_rays: Samples(64),
@@ -170,6 +173,7 @@ impl Settings {
                 voxels: Voxels::Budget(400_000),
                 directions: Samples(1024),
                 tolerance: Tolerance(1e-4),
+                refresh: Count(256),
                 cut_error: Tolerance(0.01),
                 cut_limit: Samples(2000),
                 near_rays: Samples(32),

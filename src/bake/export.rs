@@ -1,0 +1,98 @@
+//! From light to files: the picture, the scene with its lightmap, and everything written in one go.
+
+use std::path::PathBuf;
+
+use luxel_export::{Depth, Files, Original, OutputSet, Report, ToneMap, encode_png, report::Warning, sample_lightmap};
+use luxel_scene::Scene;
+use luxel_transport::{Rgb, geometry::Geometry, rays::Rays};
+
+use super::journal::Journal;
+use super::{Lit, Request};
+use crate::Error;
+use crate::plan::{Plan, Stage};
+use crate::preview::{Picture, Preview};
+
+/// The encoded preview picture; none where nothing receives light.
+pub fn preview(
+    geometry: &Geometry,
+    rays: Option<&Rays>,
+    plan: &Plan,
+    lit: &Lit,
+    journal: &mut Journal,
+) -> Result<Option<Vec<u8>>, Error> {
+    let png = journal.run(plan, Stage::Preview, None, |progress, counters| {
+        let picture = match rays {
+            Some(rays) => {
+                let irradiance = |instance, triangle, u, v| at(lit, instance, triangle, u, v);
+                Preview { rays, irradiance: &irradiance, mean: mean(lit) }.render(progress)?
+            }
+            None => Picture::black(geometry.scene),
+        };
+        counters.insert("pixels".into(), picture.radiance.len() as u64);
+        let tone = ToneMap::auto(&picture.radiance);
+        Ok(encode_png(&tone.picture(picture.width, picture.height, &picture.radiance))?)
+    })?;
+    Ok(png)
+}
+
+/// The finished lightmap at a point of an instance.
+fn at(lit: &Lit, instance: u32, triangle: u32, u: f32, v: f32) -> Option<Rgb> {
+    let placed = lit.atlas.placed.get(instance as usize)?.as_ref()?;
+    let corners = placed.triangles.get(triangle as usize)?;
+    let [a, b, c] = corners.map(|i| placed.uvs[i as usize]);
+    let uv = a * (1.0 - u - v) + b * u + c * v;
+    Some(sample_lightmap(&lit.lightmaps, placed.page, uv))
+}
+
+/// Mean irradiance over the texels that count.
+fn mean(lit: &Lit) -> Rgb {
+    let (mut sum, mut count) = (glam::DVec3::ZERO, 0.0);
+    for i in (0..lit.atlas.texels.len()).filter(|i| !lit.texels.buried[*i]) {
+        sum += lit.texels.total(i).as_dvec3();
+        count += 1.0;
+    }
+    if count > 0.0 { (sum / count).as_vec3() } else { Rgb::ZERO }
+}
+
+/// The scene with its lightmap.
+pub fn glb(
+    request: &Request,
+    scene: &Scene,
+    plan: &Plan,
+    lit: &Lit,
+    report: &mut Report,
+    journal: &mut Journal,
+) -> Result<Vec<u8>, Error> {
+    journal.always(Stage::Export, plan.reason(Stage::Export), Some(0), |_, counters| {
+        let names = request.outputs.lightmap_names(lit.lightmaps.len());
+        let glb = Original::read(&request.scene)?.lightmapped(scene, &lit.atlas, &lit.lightmaps, &names)?;
+        report.warnings.extend(glb.notices.iter().map(Warning::from));
+        let clipped: usize = glb.pages.iter().map(|p| p.clipped).sum();
+        counters.insert("bytes".into(), glb.bytes.len() as u64);
+        counters.insert("clipped_texels".into(), clipped as u64);
+        Ok(glb.bytes)
+    })
+}
+
+/// Writes all files; returns them in the order of writing.
+pub fn write(
+    outputs: &OutputSet,
+    lit: &Lit,
+    picture: Option<&[u8]>,
+    glb: &[u8],
+    key: &[u8; 32],
+    report: &mut Report,
+) -> Result<Vec<PathBuf>, Error> {
+    let key = blake3::Hash::from(*key).to_hex();
+    let files = Files {
+        lightmaps: &lit.lightmaps,
+        bounds: &lit.bounds,
+        depth: Depth::Float,
+        key: &key,
+        preview_png: picture,
+        glb,
+    };
+    outputs.write(&files, report)?;
+    let listed = report.outputs.iter().map(|o| outputs.folder().join(&o.path));
+    Ok(listed.chain([outputs.report()]).collect())
+}

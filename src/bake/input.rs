@@ -1,0 +1,75 @@
+//! From files to a scene, and from settings to what the rooms ask for.
+
+use std::path::Path;
+
+use luxel_atlas::AtlasSettings;
+use luxel_scene::{ImportOptions, Limits, Scene, Sky, SkyImage, import};
+
+use crate::Error;
+use crate::settings::{FIELDS, Settings, SkySetting};
+use crate::store::Key;
+
+/// Reads the scene, and the sky that the settings name.
+pub fn load(path: &Path, settings: &Settings) -> Result<Scene, Error> {
+    let options = ImportOptions {
+        metal_diffuse: settings.metal_diffuse.0,
+        light_scale: settings.light_scale.0,
+        emissive_scale: settings.emissive_scale.0,
+        bake_animated: settings.bake_animated,
+        ..ImportOptions::default()
+    };
+    let mut scene = import::load(path, &options)?;
+    scene.sky = sky(&mut scene, settings)?;
+    if !scene.sky.is_dark() {
+        // The importer does not know of the sky.
+        scene.notices.retain(|n| n.code != "no-light");
+    }
+    Ok(scene)
+}
+
+fn sky(scene: &mut Scene, settings: &Settings) -> Result<Sky, Error> {
+    let strength = settings.sky_strength.0;
+    Ok(match &settings.sky {
+        SkySetting::None => Sky::None,
+        SkySetting::Constant(c) => Sky::Constant(*c * strength),
+        SkySetting::Gradient { zenith, horizon, ground } => {
+            Sky::Gradient { zenith: *zenith * strength, horizon: *horizon * strength, ground: *ground * strength }
+        }
+        SkySetting::Image(path) => {
+            let loaded = import::load_sky_with(path, &Limits::default())?;
+            scene.notices.extend(loaded.notices);
+            scene.inputs.push(loaded.input);
+            let image = SkyImage {
+                rotation: settings.sky_rotation.0.to_radians(),
+                strength: loaded.image.strength * strength,
+                ..loaded.image
+            };
+            Sky::Image(image)
+        }
+    })
+}
+
+pub fn atlas_settings(settings: &Settings) -> AtlasSettings {
+    AtlasSettings {
+        size: settings.size.0,
+        texel_density: settings.texel_density.0,
+        padding: settings.padding.0,
+        ..AtlasSettings::default()
+    }
+}
+
+/// Identity of a result: luxel's version, all bytes that were read, and the settings that `matters` names.
+pub fn key(scene: &Scene, settings: &Settings, matters: impl Fn(&str) -> bool) -> Key {
+    let mut hasher = blake3::Hasher::new();
+    hasher.update(env!("CARGO_PKG_VERSION").as_bytes());
+    for input in &scene.inputs {
+        hasher.update(&input.digest);
+    }
+    for field in FIELDS.iter().filter(|f| matters(f.name)) {
+        for text in [field.name, &(field.get)(settings)] {
+            hasher.update(&(text.len() as u64).to_le_bytes());
+            hasher.update(text.as_bytes());
+        }
+    }
+    *hasher.finalize().as_bytes()
+}

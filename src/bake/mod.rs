@@ -1,0 +1,164 @@
+//! The bake of one scene: the whole chain, stage by stage, from a file to files.
+
+mod export;
+mod finish;
+mod input;
+pub mod journal;
+mod report;
+mod texels;
+mod transport;
+
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use luxel_atlas::{Atlas, AtlasReport, InProcess, Unwrapper, Worker};
+use luxel_export::{BoundMap, Lightmap, OutputSet, Report};
+use luxel_scene::{Progress, Scene};
+use luxel_transport::{geometry::Geometry, rays::Rays};
+
+use crate::Error;
+use crate::plan::{Plan, Stage};
+use crate::settings::{Resolved, Settings};
+use journal::Journal;
+pub use texels::TexelLight;
+
+/// What to bake, where to, and how.
+#[derive(Clone, Debug)]
+pub struct Request {
+    /// A .gltf or .glb file.
+    pub scene: PathBuf,
+    /// Where its files go.
+    pub outputs: OutputSet,
+    pub settings: Resolved,
+    /// The `luxel` binary, as whose child meshes are unwrapped, so that a crash of the unwrapper costs a chart and not
+    /// the bake. Without it they are unwrapped within this process.
+    pub worker: Option<PathBuf>,
+}
+
+/// A finished bake.
+#[derive(Debug)]
+pub struct Baked {
+    pub report: Report,
+    /// The files that were written, the report last.
+    pub files: Vec<PathBuf>,
+    /// Wall-clock time.
+    pub seconds: f64,
+    pub lit: Lit,
+}
+
+/// A scene's light at its texels.
+#[derive(Debug, Default)]
+pub struct Lit {
+    pub atlas: Atlas,
+    pub atlas_report: AtlasReport,
+    /// By texel of the atlas, before dilation and stitching.
+    pub texels: TexelLight,
+    /// By page of the atlas.
+    pub lightmaps: Vec<Lightmap>,
+    /// By page, where the settings ask for it.
+    pub bounds: Vec<BoundMap>,
+    pub(crate) transport: transport::Facts,
+}
+
+/// Bakes a scene file to files (the chain is shown in the crate's documentation). When it fails or is cancelled, the
+/// files of an earlier bake are untouched.
+pub fn bake(request: &Request, progress: &dyn Progress) -> Result<Baked, Error> {
+    with_threads(&request.settings.settings, || run(request, progress))
+}
+
+fn run(request: &Request, progress: &dyn Progress) -> Result<Baked, Error> {
+    let start = Instant::now();
+    let settings = &request.settings.settings;
+    let mut journal = Journal::new(progress);
+    let scene = journal.always(Stage::Import, "", Some(0), |_, counters| {
+        let scene = input::load(&request.scene, settings)?;
+        counters.insert("triangles".into(), scene.triangle_count() as u64);
+        counters.insert("files".into(), scene.inputs.len() as u64);
+        Ok(scene)
+    })?;
+    let plan = Plan::new(&scene, settings);
+    journal.explain(Stage::Import, plan.reason(Stage::Import));
+    // The number of threads changes no byte.
+    let key = input::key(&scene, settings, |name| name != "threads");
+    let geometry = Geometry::new(&scene);
+    let store = transport::Store::new(&request.outputs, &scene, settings);
+    let (lit, rays) = match &request.worker {
+        Some(path) => light(&geometry, settings, &plan, &worker(path), Some(&store), &mut journal)?,
+        None => light(&geometry, settings, &plan, &InProcess, Some(&store), &mut journal)?,
+    };
+    let picture = export::preview(&geometry, rays.as_ref(), &plan, &lit, &mut journal)?;
+    let mut report = report::start(&scene, &request.settings);
+    let glb = export::glb(request, &scene, &plan, &lit, &mut report, &mut journal)?;
+    report::fill(&mut report, &scene, &plan, &lit, &journal, start.elapsed().as_secs_f64());
+    let files = export::write(&request.outputs, &lit, picture.as_deref(), &glb, &key, &mut report)?;
+    Ok(Baked { report, files, seconds: start.elapsed().as_secs_f64(), lit })
+}
+
+/// Bakes a scene in memory: atlas, light at texels, finished images; no file is read or written.
+pub fn bake_scene(scene: &Scene, settings: &Settings, progress: &dyn Progress) -> Result<Lit, Error> {
+    with_threads(settings, || {
+        let plan = Plan::new(scene, settings);
+        let geometry = Geometry::new(scene);
+        Ok(light(&geometry, settings, &plan, &InProcess, None, &mut Journal::new(progress))?.0)
+    })
+}
+
+/// What a bake of the file would do.
+pub fn plan_file(path: &Path, settings: &Settings, progress: &dyn Progress) -> Result<Plan, Error> {
+    progress.begin(Stage::Import.name(), 0);
+    Ok(Plan::new(&input::load(path, settings)?, settings))
+}
+
+/// The middle of the chain: from the scene to finished images.
+fn light<'g>(
+    geometry: &'g Geometry<'g>,
+    settings: &Settings,
+    plan: &Plan,
+    unwrapper: &dyn Unwrapper,
+    store: Option<&transport::Store>,
+    journal: &mut Journal,
+) -> Result<(Lit, Option<Rays<'g>>), Error> {
+    let scene = geometry.scene;
+    let unwrapped = journal.run(plan, Stage::Unwrap, None, |progress, counters| {
+        let (atlas, report) = luxel_atlas::build(scene, &input::atlas_settings(settings), unwrapper, progress)?;
+        counters.insert("pages".into(), atlas.pages.len() as u64);
+        counters.insert("charts".into(), atlas.charts.len() as u64);
+        counters.insert("texels".into(), atlas.texels.len() as u64);
+        Ok((atlas, report))
+    })?;
+    let (atlas, atlas_report) = unwrapped.unwrap_or_default();
+    let rays = journal.run(plan, Stage::Rays, Some(0), |_, _| Ok(Rays::new(geometry)))?;
+    let (texels, transport) = match &rays {
+        Some(rays) => {
+            let transport = transport::run(rays, settings, plan, store, journal)?;
+            let texels = texels::run(rays, &atlas, &transport, settings, plan, journal)?;
+            (texels, transport.facts)
+        }
+        None => {
+            transport::skip(plan, journal);
+            texels::skip(plan, journal);
+            (TexelLight::dark(atlas.texels.len()), transport::Facts::default())
+        }
+    };
+    let images = journal.run(plan, Stage::Finish, Some(0), |_, counters| {
+        let (lightmaps, bounds, report) = finish::run(scene, &atlas, &texels, settings)?;
+        counters.insert("filled_texels".into(), report.filled.into());
+        counters.insert("lost_texels".into(), report.lost.into());
+        counters.insert("seam_samples".into(), report.seam_samples.into());
+        Ok((lightmaps, bounds))
+    })?;
+    let (lightmaps, bounds) = images.unwrap_or_default();
+    Ok((Lit { atlas, atlas_report, texels, lightmaps, bounds, transport }, rays))
+}
+
+/// The tool's own binary as a child that unwraps.
+fn worker(path: &Path) -> Worker {
+    Worker::new(path, ["unwrap-worker"])
+}
+
+/// Runs `work` on a pool of its own, so that an embedding program keeps its threads.
+fn with_threads<T: Send>(settings: &Settings, work: impl FnOnce() -> Result<T, Error> + Send) -> Result<T, Error> {
+    let threads = settings.threads.0;
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads as usize).build();
+    pool.map_err(|source| Error::Threads { threads, source })?.install(work)
+}

@@ -1,0 +1,285 @@
+//! The light at texels: direct, from the sky, and indirect, each by its own gather.
+//!
+//! Receivers are made from texels when they are needed, a block at a time, so that a texel costs its results only:
+//! irradiance direct and indirect, bound, and whether it is buried.
+
+use luxel_atlas::{Atlas, Texel};
+use luxel_scene::Progress;
+use luxel_transport::{
+    Rgb,
+    direct::{Direct, DirectSettings},
+    gather::{Field, FinalGather, Gather, Gathered, Lightcuts, Lookup, Receiver, lightcuts},
+    geometry::Geometry,
+    rays::Rays,
+    sampling::combine,
+    sky_light::{SkyLight, SkySettings},
+    validity,
+};
+use rayon::prelude::*;
+
+use super::journal::{Counters, Journal};
+use super::transport::Transport;
+use crate::Error;
+use crate::plan::{Plan, Stage};
+use crate::settings::{DoubleSided, GatherMode, Settings};
+
+/// Texels whose receivers exist at the same time.
+const BLOCK: usize = 1 << 15;
+
+/// Mixed into the seed of receivers on backs.
+const BACK: u64 = 0xbac5;
+
+/// Light at the texels of an atlas, in their order.
+#[derive(Clone, Debug, Default)]
+pub struct TexelLight {
+    /// Straight from lamps, suns and emissive surfaces [lux].
+    pub direct: Vec<Rgb>,
+    /// Reflected at least once, and from the sky [lux].
+    pub indirect: Vec<Rgb>,
+    /// Stated bound of the error of the band mean of the indirect light [lux].
+    pub bound: Vec<f32>,
+    /// Inside or under other geometry: its value means nothing.
+    pub buried: Vec<bool>,
+}
+
+impl TexelLight {
+    pub fn dark(texels: usize) -> Self {
+        Self {
+            direct: vec![Rgb::ZERO; texels],
+            indirect: vec![Rgb::ZERO; texels],
+            bound: vec![0.0; texels],
+            buried: vec![false; texels],
+        }
+    }
+
+    pub fn total(&self, texel: usize) -> Rgb {
+        self.direct[texel] + self.indirect[texel]
+    }
+}
+
+/// Some texels, seen from one side of their surfaces.
+struct Side<'a> {
+    geometry: &'a Geometry<'a>,
+    texels: &'a [Texel],
+    /// Which texels, in rising order; none: all.
+    some: Option<Vec<u32>>,
+    back: bool,
+    /// Receivers that are not at their texel's point because that one is buried, by rising index.
+    moved: Vec<(usize, Receiver)>,
+    light: TexelLight,
+}
+
+impl<'a> Side<'a> {
+    fn front(geometry: &'a Geometry<'a>, atlas: &'a Atlas) -> Self {
+        let light = TexelLight::dark(atlas.texels.len());
+        Self { geometry, texels: &atlas.texels, some: None, back: false, moved: Vec::new(), light }
+    }
+
+    /// The backs of double-sided surfaces.
+    fn back(geometry: &'a Geometry<'a>, atlas: &'a Atlas) -> Self {
+        let is_double = |t: &Texel| geometry.material(geometry.triangle(t.instance, t.triangle)).double_sided;
+        let numbered = (0u32..).zip(&atlas.texels);
+        let some: Vec<u32> = numbered.filter(|(_, t)| is_double(t)).map(|(i, _)| i).collect();
+        let light = TexelLight::dark(some.len());
+        Self { geometry, texels: &atlas.texels, some: Some(some), back: true, moved: Vec::new(), light }
+    }
+
+    fn len(&self) -> usize {
+        self.light.direct.len()
+    }
+
+    fn receiver(&self, at: usize) -> Receiver {
+        match self.moved.binary_search_by_key(&at, |(i, _)| *i) {
+            Ok(found) => self.moved[found].1,
+            Err(_) => self.original(at),
+        }
+    }
+
+    fn original(&self, at: usize) -> Receiver {
+        let t = &self.texels[self.some.as_ref().map_or(at, |some| some[at] as usize)];
+        let triangle = self.geometry.triangle(t.instance, t.triangle);
+        let footprint = self.geometry.frame.length(f64::from(t.footprint));
+        let front = Receiver::on_triangle(self.geometry, triangle, t.u, t.v, footprint, t.seed);
+        if !self.back {
+            return front;
+        }
+        let (normal, shading_normal) = (-front.normal, -front.shading_normal);
+        Receiver { normal, shading_normal, seed: combine(t.seed, BACK), ..front }
+    }
+
+    /// Finds the texels that are buried, and moves those that need not be.
+    fn clear(&mut self, rays: &Rays, progress: &dyn Progress) -> Result<(), Error> {
+        for first in (0..self.len()).step_by(BLOCK) {
+            progress.check()?;
+            let block = first..self.len().min(first + BLOCK);
+            let length = block.len();
+            let found: Vec<(usize, Option<Receiver>)> = block
+                .into_par_iter()
+                .map(|i| (i, self.original(i)))
+                .filter(|(_, receiver)| validity::is_buried(rays, receiver))
+                .map(|(i, receiver)| (i, validity::unocclude(rays, &receiver)))
+                .collect();
+            for (i, moved) in found {
+                match moved {
+                    Some(receiver) => self.moved.push((i, receiver)),
+                    None => self.light.buried[i] = true,
+                }
+            }
+            progress.advance(length as u64);
+        }
+        Ok(())
+    }
+
+    /// Gathers at every receiver, block by block, and hands each result to `put` with its index.
+    fn gather(
+        &mut self,
+        gatherer: &dyn Gather,
+        progress: &dyn Progress,
+        mut put: impl FnMut(&mut TexelLight, usize, &Gathered),
+    ) -> Result<(), Error> {
+        let mut receivers = Vec::with_capacity(BLOCK.min(self.len()));
+        for first in (0..self.len()).step_by(BLOCK) {
+            receivers.clear();
+            receivers.extend((first..self.len().min(first + BLOCK)).map(|i| self.receiver(i)));
+            for (i, gathered) in (first..).zip(gatherer.gather(&receivers, progress)?) {
+                put(&mut self.light, i, &gathered);
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Gathers all light that the plan wants at every texel.
+pub fn run(
+    rays: &Rays,
+    atlas: &Atlas,
+    transport: &Transport,
+    settings: &Settings,
+    plan: &Plan,
+    journal: &mut Journal,
+) -> Result<TexelLight, Error> {
+    let geometry = rays.geometry;
+    let mut sides = vec![Side::front(geometry, atlas)];
+    if settings.double_sided != DoubleSided::Front {
+        sides.push(Side::back(geometry, atlas));
+    }
+    let work = sides.iter().map(|s| s.len() as u64).sum();
+    journal.run(plan, Stage::Clear, Some(work), |progress, counters| {
+        for side in &mut sides {
+            side.clear(rays, progress)?;
+        }
+        let count = |f: fn(&Side) -> usize| sides.iter().map(|s| f(s) as u64).sum::<u64>();
+        counters.insert("moved_texels".into(), count(|s| s.moved.len()));
+        counters.insert("buried_texels".into(), count(|s| s.light.buried.iter().filter(|b| **b).count()));
+        Ok(())
+    })?;
+
+    journal.run(plan, Stage::Direct, Some(work), |progress, counters| {
+        let direct = Direct::new(rays, &transport.emitters, direct_settings(settings));
+        gather(&mut sides, &direct, Part::Direct, progress, counters)
+    })?;
+    journal.run(plan, Stage::Sky, Some(work), |progress, counters| {
+        let sky = SkyLight::new(rays, SkySettings { rays: settings.sky_rays.0, ..SkySettings::default() });
+        gather(&mut sides, &sky, Part::Sky, progress, counters)
+    })?;
+    journal.run(plan, Stage::Gather, Some(work), |progress, counters| {
+        let Some((surfels, solution)) = &transport.surfels else { return Ok(()) };
+        let field = Field::new(rays, surfels, solution)?;
+        match settings.gather_mode() {
+            GatherMode::Lookup => gather(&mut sides, &Lookup::new(&field), Part::Bounced, progress, counters),
+            GatherMode::Final => {
+                let gatherer = FinalGather::new(&field, settings.gather_rays.0);
+                gather(&mut sides, &gatherer, Part::Bounced, progress, counters)
+            }
+            GatherMode::Lightcuts | GatherMode::Auto => {
+                let gatherer = Lightcuts::new(&field, lightcut_settings(settings));
+                gather(&mut sides, &gatherer, Part::Bounced, progress, counters)
+            }
+        }
+    })?;
+    Ok(combine_sides(sides, settings.double_sided))
+}
+
+/// All gathering is left out.
+pub fn skip(plan: &Plan, journal: &mut Journal) {
+    for stage in [Stage::Clear, Stage::Direct, Stage::Sky, Stage::Gather] {
+        journal.left_out(plan, stage);
+    }
+}
+
+pub fn direct_settings(settings: &Settings) -> DirectSettings {
+    DirectSettings { samples: settings.shadow_samples.0, ..DirectSettings::default() }
+}
+
+fn lightcut_settings(settings: &Settings) -> lightcuts::Settings {
+    lightcuts::Settings {
+        threshold: settings.cut_error.0,
+        limit: settings.cut_limit.0,
+        near_rays: settings.near_rays.0,
+        ..lightcuts::Settings::default()
+    }
+}
+
+/// Where a gather's result goes.
+#[derive(Clone, Copy, PartialEq)]
+enum Part {
+    Direct,
+    Sky,
+    Bounced,
+}
+
+fn gather(
+    sides: &mut [Side],
+    gatherer: &dyn Gather,
+    part: Part,
+    progress: &dyn Progress,
+    counters: &mut Counters,
+) -> Result<(), Error> {
+    let (mut rays, mut cut, mut longest, mut texels) = (0u64, 0u64, 0u32, 0u64);
+    for side in sides {
+        side.gather(gatherer, progress, |light, i, g| {
+            match part {
+                Part::Direct => light.direct[i] += g.irradiance,
+                Part::Sky | Part::Bounced => light.indirect[i] += g.irradiance,
+            }
+            if part == Part::Bounced {
+                light.bound[i] += g.bound;
+            }
+            texels += 1;
+            rays += u64::from(g.rays);
+            cut += u64::from(g.cut);
+            longest = longest.max(g.cut);
+        })?;
+    }
+    counters.insert("texels".into(), texels);
+    counters.insert("continuous_rays".into(), rays);
+    if cut > 0 {
+        counters.insert("clusters".into(), cut);
+        counters.insert("longest_cut".into(), u64::from(longest));
+    }
+    Ok(())
+}
+
+/// Lays the backs' light over the fronts' as the setting says.
+fn combine_sides(sides: Vec<Side>, rule: DoubleSided) -> TexelLight {
+    let mut sides = sides.into_iter();
+    let mut out = sides.next().map(|s| s.light).unwrap_or_default();
+    for side in sides {
+        for (k, i) in side.some.iter().flatten().map(|i| *i as usize).enumerate() {
+            let back = &side.light;
+            let share = match rule {
+                // A side that lies within something has nothing to say.
+                _ if back.buried[k] => 0.0,
+                _ if out.buried[i] => 1.0,
+                DoubleSided::Front => 0.0,
+                DoubleSided::Average => 0.5,
+                DoubleSided::Max => f32::from(back.total(k).element_sum() > out.total(i).element_sum()),
+            };
+            out.direct[i] = out.direct[i].lerp(back.direct[k], share);
+            out.indirect[i] = out.indirect[i].lerp(back.indirect[k], share);
+            out.bound[i] += (back.bound[k] - out.bound[i]) * share;
+            out.buried[i] &= back.buried[k];
+        }
+    }
+    out
+}

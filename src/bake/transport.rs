@@ -1,0 +1,256 @@
+//! The light at surfels: voxelized, shot, propagated, refreshed; or read back from the octree cache of the last bake.
+
+use std::path::PathBuf;
+
+use luxel_export::OutputSet;
+use luxel_export::report::StageState;
+use luxel_scene::{Scene, Sky};
+use luxel_transport::{
+    Rgb,
+    direct::Direct,
+    gather::{Field, refresh},
+    lights::Emitters,
+    octree::Octree,
+    rays::Rays,
+    shoot::{self, PhotonSettings},
+    solve::{SolveReport, SolveSettings, is_closed, solve},
+    surfel::{Resolution, Solution, Surfels, VoxelSettings},
+};
+
+use super::input;
+use super::journal::{Counters, Journal};
+use crate::Error;
+use crate::plan::{Plan, Stage};
+use crate::settings::{Closed, Settings, Voxels};
+use crate::store::{self, Key, Miss};
+
+/// Probe rays that decide whether a scene is closed.
+const CLOSED_PROBES: u32 = 1 << 16;
+
+/// Points of a surfel at which its direct light is computed, at most.
+const POINTS: u32 = 5;
+
+/// Photons that start from one point of a light.
+const PHOTONS_PER_POINT: u32 = 256;
+
+/// The settings that the light at surfels depends on.
+const KEY_SETTINGS: [&str; 15] = [
+    "sky",
+    "sky_rotation",
+    "sky_strength",
+    "light_scale",
+    "emissive_scale",
+    "metal_diffuse",
+    "bake_animated",
+    "voxels",
+    "directions",
+    "bounces",
+    "tolerance",
+    "refresh",
+    "closed",
+    "photons",
+    "shadow_samples",
+];
+
+/// The stages that a stored octree stands for.
+const STORED: [Stage; 4] = [Stage::Surfels, Stage::Shoot, Stage::Propagate, Stage::Refresh];
+
+/// Everything that the gather reads.
+pub struct Transport {
+    pub emitters: Emitters,
+    /// Surfels and the light at them, where light bounces.
+    pub surfels: Option<(Surfels, Solution)>,
+    pub facts: Facts,
+}
+
+/// What became of the light, for the report.
+#[derive(Clone, Debug, Default)]
+pub struct Facts {
+    pub surfels: u64,
+    /// None where the cache was reused.
+    pub solve: Option<SolveReport>,
+    /// Frame units per scene unit.
+    pub scale: f64,
+    /// Why a stored cache was of no use, if one was there.
+    pub miss: Option<String>,
+}
+
+/// The octree irradiance cache on disk.
+#[derive(Clone, Debug)]
+pub struct Store {
+    path: PathBuf,
+    key: Key,
+}
+
+impl Store {
+    pub fn new(outputs: &OutputSet, scene: &Scene, settings: &Settings) -> Self {
+        let path = outputs.folder().join(".luxel").join(format!("{}.octree", outputs.stem()));
+        Self { path, key: input::key(scene, settings, |name| KEY_SETTINGS.contains(&name)) }
+    }
+
+    /// The stored light, if it is this bake's.
+    fn read(&self, triangles: usize) -> Result<(Surfels, Solution), String> {
+        let body = store::read(&self.path, store::OCTREE, &self.key).map_err(|miss| match miss {
+            Miss::Absent => String::new(),
+            miss => format!("{}: the stored light is made anew: {miss}", self.path.display()),
+        })?;
+        let foreign = |why: String| format!("{}: the stored light is made anew: {why}", self.path.display());
+        let octree = Octree::from_bytes(&body, body.len()).map_err(|e| foreign(e.to_string()))?;
+        if !octree.fits(triangles) {
+            return Err(foreign("it belongs to another scene".into()));
+        }
+        Ok(octree.unpack())
+    }
+
+    fn write(&self, octree: &Octree) -> Result<u64, Error> {
+        let body = octree.to_bytes()?;
+        store::write(&self.path, store::OCTREE, &self.key, &body)
+            .map_err(|source| Error::Store { path: self.path.clone(), source })?;
+        Ok(body.len() as u64)
+    }
+}
+
+/// All transport stages are left out.
+pub fn skip(plan: &Plan, journal: &mut Journal) {
+    for stage in STORED {
+        journal.left_out(plan, stage);
+    }
+    journal.left_out(plan, Stage::Cache);
+}
+
+/// Runs the stages that the plan wants, or reads what they left in `store`.
+pub fn run(
+    rays: &Rays,
+    settings: &Settings,
+    plan: &Plan,
+    store: Option<&Store>,
+    journal: &mut Journal,
+) -> Result<Transport, Error> {
+    let emitters = Emitters::new(rays.geometry);
+    let mut facts = Facts { scale: rays.geometry.frame.scale, ..Facts::default() };
+    if !plan.runs(Stage::Surfels) {
+        skip(plan, journal);
+        return Ok(Transport { emitters, surfels: None, facts });
+    }
+    if let Some(store) = store {
+        match store.read(rays.geometry.triangles.len()) {
+            Ok((surfels, solution)) => {
+                for stage in STORED.into_iter().chain([Stage::Cache]) {
+                    let reason = "the stored light was made from the same input and settings";
+                    journal.note(stage, StageState::Reused, reason, 0.0, Counters::new());
+                }
+                facts.surfels = surfels.list.len() as u64;
+                return Ok(Transport { emitters, surfels: Some((surfels, solution)), facts });
+            }
+            Err(miss) => facts.miss = (!miss.is_empty()).then_some(miss),
+        }
+    }
+    let (surfels, solution) = made(rays, &emitters, settings, plan, &mut facts, journal)?;
+    journal.run(plan, Stage::Cache, Some(0), |_, counters| {
+        let octree = Octree::new(&surfels, &solution);
+        counters.insert("nodes".into(), octree.nodes().len() as u64);
+        if let Some(store) = store {
+            counters.insert("bytes".into(), store.write(&octree)?);
+        }
+        Ok(())
+    })?;
+    Ok(Transport { emitters, surfels: Some((surfels, solution)), facts })
+}
+
+/// Surfels and the light at them, from scratch.
+fn made(
+    rays: &Rays,
+    emitters: &Emitters,
+    settings: &Settings,
+    plan: &Plan,
+    facts: &mut Facts,
+    journal: &mut Journal,
+) -> Result<(Surfels, Solution), Error> {
+    let geometry = rays.geometry;
+    let surfels = journal.always(Stage::Surfels, plan.reason(Stage::Surfels), None, |progress, counters| {
+        let surfels = Surfels::new(geometry, &voxel_settings(settings), progress)?;
+        counters.insert("surfels".into(), surfels.list.len() as u64);
+        Ok(surfels)
+    })?;
+    let count = surfels.list.len() as u64;
+    facts.surfels = count;
+    let direct = journal.run(plan, Stage::Shoot, Some(count * u64::from(POINTS)), |progress, counters| {
+        let shot = if settings.photons.0 > 0 {
+            let primary = settings.photons.0.div_ceil(PHOTONS_PER_POINT);
+            let how = PhotonSettings { primary, directions: PHOTONS_PER_POINT };
+            shoot::photons(rays, emitters, &surfels, how, progress)?
+        } else {
+            let direct = Direct::new(rays, emitters, super::texels::direct_settings(settings));
+            shoot::exact(geometry, &surfels, &direct, POINTS, progress)?
+        };
+        counters.insert("primary_photons".into(), shot.primary_photons);
+        counters.insert("direct_photons".into(), shot.direct_photons);
+        counters.insert("continuous_rays".into(), shot.rays);
+        Ok(shot.irradiance)
+    })?;
+    let direct = direct.unwrap_or_else(|| vec![Rgb::ZERO; surfels.list.len()]);
+
+    let sky = &geometry.scene.sky;
+    let radiance = |direction| sky.radiance(direction);
+    let mut solution =
+        journal.always(Stage::Propagate, plan.reason(Stage::Propagate), None, |progress, counters| {
+            let how = solve_settings(rays, &surfels, settings);
+            let (solution, report) = solve(&surfels, &direct, &how, is_lit(sky).then_some(&radiance), progress)?;
+            counters.insert("bounces".into(), report.bounces.len() as u64);
+            counters.insert("stiff_steps".into(), u64::from(report.stiff_steps));
+            counters.insert("discrete_rays".into(), report.discrete_rays);
+            counters.insert("closed".into(), u64::from(how.closed));
+            facts.solve = Some(report);
+            Ok(solution)
+        })?;
+    let refreshed = journal.run(plan, Stage::Refresh, Some(count), |progress, counters| {
+        let field = Field::new(rays, &surfels, &solution)?;
+        counters.insert("continuous_rays".into(), count * u64::from(settings.refresh.0));
+        Ok(refresh(&field, settings.refresh.0, &radiance, progress)?)
+    })?;
+    if let Some(refreshed) = refreshed {
+        solution = refreshed;
+    }
+    Ok((surfels, solution))
+}
+
+fn is_lit(sky: &Sky) -> bool {
+    !sky.is_dark()
+}
+
+fn solve_settings(rays: &Rays, surfels: &Surfels, settings: &Settings) -> SolveSettings {
+    let closed = match settings.closed {
+        Closed::Yes => true,
+        Closed::No => false,
+        Closed::Auto => is_closed(rays, surfels, CLOSED_PROBES),
+    };
+    SolveSettings {
+        directions: settings.directions.0,
+        max_bounces: settings.bounces.0,
+        tolerance: f64::from(settings.tolerance.0),
+        closed,
+        ..SolveSettings::default()
+    }
+}
+
+fn voxel_settings(settings: &Settings) -> VoxelSettings {
+    let resolution = match settings.voxels {
+        Voxels::Budget(n) => Resolution::Budget(n),
+        Voxels::Side(n) => Resolution::Side(n),
+        Voxels::Edge(e) => Resolution::Edge(f64::from(e)),
+    };
+    VoxelSettings { resolution, ..VoxelSettings::default() }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::settings::Field as Setting;
+
+    #[test]
+    fn the_key_names_settings_that_exist() {
+        for name in KEY_SETTINGS {
+            assert!(Setting::find(name).is_some(), "{name}");
+        }
+    }
+}

@@ -1,0 +1,152 @@
+//! What can be written on the command line. The settings' flags and their help come from [`FIELDS`].
+
+use std::path::PathBuf;
+
+use clap::{Arg, ArgMatches, Args, Command, FromArgMatches, Parser, Subcommand, error::ErrorKind};
+use luxel::settings::{FIELDS, Layer, Origin, Settings};
+
+const ABOUT: &str = "Bakes light into glTF levels: lightmaps, no GPU, no editor.";
+
+const EXAMPLES: &str = "\
+Examples:
+  luxel bake level.glb                          lightmap, lit .glb, picture and report in baked/
+  luxel bake level.glb --preset draft           a first look
+  luxel bake level.glb --sky 300,400,600        with a blue sky of 300..600 cd/m²
+  luxel bake level.glb --sky noon.hdr           with an image as the sky
+  luxel bake levels/ --out lit/                 every scene below a folder
+  luxel plan level.glb                          what would run, and why
+
+Exit codes: 0 done, 1 some scenes failed, 2 wrong usage, 130 interrupted.";
+
+#[derive(Debug, Parser)]
+#[command(name = "luxel", version, about = ABOUT, after_help = EXAMPLES, arg_required_else_help = true)]
+pub struct Cli {
+    #[command(subcommand)]
+    pub task: Task,
+}
+
+#[derive(Debug, Subcommand)]
+pub enum Task {
+    /// Bake scenes: irradiance as .exr, the scene with its lightmap as .glb, a picture, and a report.
+    #[command(after_help = EXAMPLES)]
+    Bake(Bake),
+    /// Say which stages a bake would run or leave out, why, and how much memory it would take.
+    Plan(Common),
+    /// Print every setting with its effect, unit and default, in the form of a luxel.toml.
+    Defaults,
+    /// Unwrap meshes for a bake in another process.
+    #[command(hide = true)]
+    UnwrapWorker,
+}
+
+#[derive(Debug, Args)]
+pub struct Bake {
+    #[command(flatten)]
+    pub common: Common,
+    /// Folder for the outputs; subfolders of a scanned folder are mirrored [default: baked/ beside each scene]
+    #[arg(long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
+}
+
+#[derive(Debug, Args)]
+pub struct Common {
+    /// .gltf or .glb files, or folders of them
+    #[arg(required = true, value_name = "SCENE")]
+    pub scenes: Vec<PathBuf>,
+    /// Settings file [default: luxel.toml beside each scene, if there is one]
+    #[arg(long, value_name = "FILE")]
+    pub config: Option<PathBuf>,
+    /// One JSON object per line on standard output
+    #[arg(long)]
+    pub json: bool,
+    /// Nothing but errors
+    #[arg(long, short)]
+    pub quiet: bool,
+    #[command(flatten)]
+    pub settings: Flags,
+}
+
+/// The settings chosen by flags.
+#[derive(Clone, Debug)]
+pub struct Flags(pub Layer);
+
+impl Args for Flags {
+    fn augment_args(mut command: Command) -> Command {
+        let defaults = Settings::default();
+        for field in FIELDS {
+            let help = format!("{} [default: {}]", field.effect(), (field.get)(&defaults));
+            let mut arg = Arg::new(field.name).long(field.flag()).help_heading(field.group);
+            arg = arg.help(help.clone()).long_help(format!("{help}\nValue: {}", (field.form)()));
+            arg = arg.value_name(field.unit.to_uppercase()).allow_hyphen_values(true);
+            if field.is_switch {
+                // With an equals sign only, so that `--bound level.glb` names a scene.
+                arg = arg.num_args(0..=1).require_equals(true).default_missing_value("true");
+            }
+            command = command.arg(arg);
+        }
+        command
+    }
+
+    fn augment_args_for_update(command: Command) -> Command {
+        Self::augment_args(command)
+    }
+}
+
+impl FromArgMatches for Flags {
+    fn from_arg_matches(matches: &ArgMatches) -> Result<Self, clap::Error> {
+        let mut layer = Layer::new(Origin::CommandLine);
+        for field in FIELDS {
+            if let Some(text) = matches.get_one::<String>(field.name) {
+                let refused = |e: luxel::settings::SettingsError| {
+                    clap::Error::raw(ErrorKind::ValueValidation, format!("--{}: {e}\n", field.flag()))
+                };
+                layer.set(field.name, text).map_err(refused)?;
+            }
+        }
+        Ok(Self(layer))
+    }
+
+    fn update_from_arg_matches(&mut self, matches: &ArgMatches) -> Result<(), clap::Error> {
+        *self = Self::from_arg_matches(matches)?;
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::CommandFactory;
+    use luxel::settings::resolve;
+
+    fn bake(line: &str) -> Result<Bake, clap::Error> {
+        match Cli::try_parse_from(line.split(' '))?.task {
+            Task::Bake(bake) => Ok(bake),
+            other => panic!("{other:?}"),
+        }
+    }
+
+    #[test]
+    fn the_command_line_is_well_formed() {
+        Cli::command().debug_assert();
+    }
+
+    #[test]
+    fn every_setting_is_a_flag() {
+        let args = bake("luxel bake a.glb --size 64 --sky 1,2,3 --bound --sky-rotation -30 b").unwrap();
+        assert_eq!(args.common.scenes.len(), 2);
+        let settings = resolve(&[args.common.settings.0]).unwrap().settings;
+        assert_eq!((settings.size.0, settings.bound, settings.sky_rotation.0), (64, true, -30.0));
+        let args = bake("luxel bake --bound a.glb").unwrap();
+        assert_eq!(args.common.scenes.len(), 1, "a switch takes no scene for its value");
+        let settings = resolve(&[bake("luxel bake a --bound=false").unwrap().common.settings.0]).unwrap().settings;
+        assert!(!settings.bound);
+    }
+
+    #[test]
+    fn wrong_values_name_the_flag_and_what_fits() {
+        let message = bake("luxel bake a.glb --size big").unwrap_err().to_string();
+        assert!(message.contains("--size") && message.contains("16 to 16384"), "{message}");
+        assert!(bake("luxel bake").is_err());
+        assert!(bake("luxel bake a --siez 3").unwrap_err().to_string().contains("--size"));
+    }
+}

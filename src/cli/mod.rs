@@ -1,0 +1,206 @@
+//! The command line: reads it, bakes scene by scene, tells what happened, and ends with the exit code of the contract.
+
+mod args;
+mod print;
+mod progress;
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use anyhow::Context;
+use clap::Parser;
+use luxel::discover::{self, Found};
+use luxel::settings::{Layer, Resolved, SettingsError, extras, resolve};
+use luxel::{Error, Request};
+use luxel_export::OutputSet;
+use serde_json::json;
+
+use args::{Bake, Cli, Common, Task};
+use progress::{Reporter, Style, event, say};
+
+const DONE: u8 = 0;
+const SOME_FAILED: u8 = 1;
+const USAGE: u8 = 2;
+const INTERRUPTED: u8 = 130;
+
+/// Runs the command line of this process.
+pub fn main() -> ExitCode {
+    let code = match Cli::parse().task {
+        Task::Bake(args) => bake(&args),
+        Task::Plan(args) => plan(&args),
+        Task::Defaults => {
+            progress::out(&luxel::settings::documented_defaults());
+            Ok(DONE)
+        }
+        Task::UnwrapWorker => {
+            return match luxel_atlas::worker_main(std::io::stdin().lock(), std::io::stdout().lock()) {
+                Ok(()) => ExitCode::SUCCESS,
+                Err(_) => ExitCode::FAILURE,
+            };
+        }
+    };
+    ExitCode::from(code.unwrap_or_else(|error| {
+        print::failure(None, &error);
+        USAGE
+    }))
+}
+
+/// What a command line means before any scene is opened; every error here is one of usage.
+struct Job {
+    found: Vec<Found>,
+    /// The layer of `--config`.
+    config: Option<Layer>,
+    style: Style,
+    cancelled: Arc<AtomicBool>,
+}
+
+fn prepare(common: &Common, out: Option<&Path>) -> anyhow::Result<Job> {
+    let config = common.config.as_deref().map(Layer::from_file).transpose()?;
+    let found = discover::find(&common.scenes, out)?;
+    let cancelled = Arc::new(AtomicBool::new(false));
+    let flag = cancelled.clone();
+    ctrlc::set_handler(move || {
+        // The second time is meant seriously.
+        if flag.swap(true, Ordering::Relaxed) {
+            std::process::exit(i32::from(INTERRUPTED));
+        }
+    })
+    .context("cannot listen for Ctrl-C")?;
+    Ok(Job { found, config, style: Style::choose(common.json, common.quiet), cancelled })
+}
+
+/// The settings of one scene: its folder's or the named file, its extras, the command line.
+fn settings(scene: &Path, config: Option<&Layer>, flags: &Layer) -> Result<Resolved, SettingsError> {
+    let mut layers = Vec::new();
+    match config {
+        Some(layer) => layers.push(layer.clone()),
+        None => {
+            let beside = scene.parent().unwrap_or(Path::new("")).join("luxel.toml");
+            if beside.is_file() {
+                layers.push(Layer::from_file(&beside)?);
+            }
+        }
+    }
+    layers.extend(extras::read(scene)?);
+    layers.push(flags.clone());
+    resolve(&layers)
+}
+
+fn bake(args: &Bake) -> anyhow::Result<u8> {
+    let common = &args.common;
+    let task = prepare(common, args.out.as_deref())?;
+    let places = places(&task.found, args.out.as_deref())?;
+    let worker = std::env::current_exe().ok();
+    each(&task, |found, reporter| {
+        let request = Request {
+            scene: found.scene.clone(),
+            outputs: places[&found.scene].clone(),
+            settings: settings(&found.scene, task.config.as_ref(), &common.settings.0)?,
+            worker: worker.clone(),
+        };
+        let baked = luxel::bake(&request, reporter)?;
+        reporter.finish();
+        print::baked(task.style, &found.scene, &baked);
+        Ok(())
+    })
+}
+
+fn plan(common: &Common) -> anyhow::Result<u8> {
+    let task = prepare(common, None)?;
+    each(&task, |found, reporter| {
+        let settings = settings(&found.scene, task.config.as_ref(), &common.settings.0)?;
+        let plan = luxel::plan_file(&found.scene, &settings.settings, reporter)?;
+        reporter.finish();
+        print::plan(task.style, &found.scene, &plan);
+        Ok(())
+    })
+}
+
+/// Does `work` for every scene, goes on after a failure, and names the failed ones at the end.
+fn each(task: &Job, mut work: impl FnMut(&Found, &Reporter) -> Result<(), Error>) -> anyhow::Result<u8> {
+    let mut failed: Vec<&PathBuf> = Vec::new();
+    for found in &task.found {
+        let name = found.scene.display().to_string();
+        if matches!(task.style, Style::Lines | Style::Bar) {
+            say(&name);
+        }
+        let reporter = Reporter::new(task.style, &name, task.cancelled.clone());
+        match work(found, &reporter) {
+            Ok(()) => {}
+            Err(Error::Cancelled) => {
+                reporter.finish();
+                say("interrupted; nothing of this scene was written");
+                return Ok(INTERRUPTED);
+            }
+            Err(error) => {
+                reporter.finish();
+                let error = anyhow::Error::new(error);
+                if task.style == Style::Json {
+                    let causes: Vec<String> = error.chain().map(ToString::to_string).collect();
+                    event(&json!({ "event": "failed", "scene": name, "error": causes[0], "causes": causes[1..] }));
+                } else {
+                    print::failure(Some(&found.scene), &error);
+                }
+                failed.push(&found.scene);
+            }
+        }
+    }
+    if task.style == Style::Json {
+        event(&json!({ "event": "done", "scenes": task.found.len(), "failed": failed }));
+    } else if !failed.is_empty() && task.found.len() > 1 {
+        say(&format!("{} of {} scenes failed:", failed.len(), task.found.len()));
+        for scene in &failed {
+            say(&format!("  {}", scene.display()));
+        }
+    }
+    Ok(if failed.is_empty() { DONE } else { SOME_FAILED })
+}
+
+/// Where every scene's files go. Two scenes with the same place are an error of usage.
+fn places(found: &[Found], out: Option<&Path>) -> anyhow::Result<BTreeMap<PathBuf, OutputSet>> {
+    let mut places = BTreeMap::new();
+    let mut taken: BTreeMap<PathBuf, &Path> = BTreeMap::new();
+    for f in found {
+        let set = OutputSet::new(&f.scene, out, f.root.as_deref())?;
+        if let Some(other) = taken.insert(set.glb(), &f.scene) {
+            anyhow::bail!(
+                "{} and {} would both write {}: bake them with different --out",
+                other.display(),
+                f.scene.display(),
+                set.glb().display()
+            );
+        }
+        places.insert(f.scene.clone(), set);
+    }
+    Ok(places)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use luxel::settings::Origin;
+
+    #[test]
+    fn scenes_that_would_overwrite_each_other_are_refused() {
+        let found = |path: &str| Found { scene: path.into(), root: None };
+        let pair = [found("a/level.glb"), found("b/level.glb")];
+        assert!(places(&pair, Some(Path::new("out"))).unwrap_err().to_string().contains("different --out"));
+        assert_eq!(places(&pair, None).unwrap().len(), 2);
+    }
+
+    #[test]
+    fn a_file_beside_the_scene_counts_unless_another_is_named() {
+        let folder = tempfile::tempdir().unwrap();
+        let scene = folder.path().join("a.gltf");
+        std::fs::write(&scene, r#"{"scenes":[{"extras":{"luxel":{"padding":5}}}]}"#).unwrap();
+        std::fs::write(folder.path().join("luxel.toml"), "size = 128\npadding = 3").unwrap();
+        let none = Layer::new(Origin::CommandLine);
+        let resolved = settings(&scene, None, &none).unwrap();
+        assert_eq!((resolved.settings.size.0, resolved.settings.padding.0), (128, 5));
+        let named = Layer::new(Origin::File("other.toml".into()));
+        assert_eq!(settings(&scene, Some(&named), &none).unwrap().settings.size.0, 1024);
+    }
+}

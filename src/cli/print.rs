@@ -1,0 +1,72 @@
+//! Results and failures, for people and for programs.
+
+use std::path::Path;
+
+use luxel::Baked;
+use luxel::plan::Plan;
+use serde_json::json;
+
+use crate::cli::progress::{Style, duration, event, out, say};
+
+/// A finished scene: its files, and what a person should know.
+pub fn baked(style: Style, scene: &Path, baked: &Baked) {
+    let report = &baked.report;
+    match style {
+        Style::Quiet => {}
+        Style::Json => event(&json!({
+            "event": "baked",
+            "scene": scene,
+            "seconds": baked.seconds,
+            "outputs": baked.files,
+            "quality": report.quality,
+            "warnings": report.warnings,
+        })),
+        Style::Lines | Style::Bar => {
+            for warning in &report.warnings {
+                say(&format!("  note: {}", warning.message));
+            }
+            for file in &baked.files {
+                say(&format!("  wrote {}", file.display()));
+            }
+            say(&format!("  done in {}", duration(baked.seconds)));
+        }
+    }
+}
+
+/// A plan as a table, or as one JSON object.
+pub fn plan(style: Style, scene: &Path, plan: &Plan) {
+    if style == Style::Json {
+        event(&json!({ "event": "plan", "scene": scene, "plan": plan }));
+        return;
+    }
+    let mut text = String::new();
+    for step in &plan.steps {
+        let state = if step.runs { "run" } else { "left out" };
+        text += &format!("  {:<10} {state:<9} {}\n", step.stage.name(), step.reason);
+    }
+    let m = &plan.memory;
+    let mib = |bytes: u64| bytes.div_ceil(1 << 20);
+    text += &format!(
+        "  memory     about {} MiB beyond the scene: rays {}, surfels {}, texels {}, images {}\n",
+        mib(m.total()),
+        mib(m.rays),
+        mib(m.surfels),
+        mib(m.texels),
+        mib(m.images)
+    );
+    out(&text);
+}
+
+/// An error with its causes, each on its own line.
+pub fn failure(scene: Option<&Path>, error: &anyhow::Error) {
+    let mut lines = error.chain().map(ToString::to_string);
+    let first = lines.next().unwrap_or_default();
+    // A message that already names the file does not need it twice.
+    match scene.map(|s| s.display().to_string()).filter(|s| !first.contains(s.as_str())) {
+        Some(scene) => say(&format!("error: {scene}: {first}")),
+        None => say(&format!("error: {first}")),
+    }
+    for cause in lines {
+        say(&format!("  because: {cause}"));
+    }
+}

@@ -1,0 +1,182 @@
+//! What a person, a log or a program sees of a running bake.
+
+use std::io::{IsTerminal, Write};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use luxel_scene::Progress;
+use serde_json::json;
+
+/// At most one progress event in this time.
+const EVENT_PAUSE: Duration = Duration::from_millis(250);
+
+/// How progress is shown.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Style {
+    /// Not at all.
+    Quiet,
+    /// One line per stage, for logs.
+    Lines,
+    /// A bar with an estimate of the time left.
+    Bar,
+    /// JSON objects, one a line, on standard output.
+    Json,
+}
+
+impl Style {
+    pub fn choose(json: bool, quiet: bool) -> Self {
+        match (json, quiet) {
+            (true, _) => Self::Json,
+            (_, true) => Self::Quiet,
+            _ if std::io::stderr().is_terminal() => Self::Bar,
+            _ => Self::Lines,
+        }
+    }
+}
+
+/// Shows the stages of one scene, and passes Ctrl-C on.
+pub struct Reporter {
+    style: Style,
+    scene: String,
+    cancelled: Arc<AtomicBool>,
+    current: Mutex<Option<Current>>,
+}
+
+struct Current {
+    stage: &'static str,
+    total: u64,
+    done: u64,
+    since: Instant,
+    told: Instant,
+    bar: Option<ProgressBar>,
+}
+
+impl Reporter {
+    pub fn new(style: Style, scene: &str, cancelled: Arc<AtomicBool>) -> Self {
+        Self { style, scene: scene.into(), cancelled, current: Mutex::new(None) }
+    }
+
+    /// The last stage is over.
+    pub fn finish(&self) {
+        let mut current = self.lock();
+        self.end(&mut current);
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Option<Current>> {
+        self.current.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn end(&self, current: &mut Option<Current>) {
+        let Some(c) = current.take() else { return };
+        let seconds = c.since.elapsed().as_secs_f64();
+        if let Some(bar) = c.bar {
+            bar.finish_and_clear();
+        }
+        match self.style {
+            Style::Quiet => {}
+            Style::Lines | Style::Bar => say(&format!("  {:<12} {}", c.stage, duration(seconds))),
+            Style::Json => {
+                event(&json!({ "event": "finished", "scene": self.scene, "stage": c.stage, "seconds": seconds }));
+            }
+        }
+    }
+}
+
+impl Progress for Reporter {
+    fn begin(&self, stage: &'static str, total: u64) {
+        let mut current = self.lock();
+        self.end(&mut current);
+        let now = Instant::now();
+        let bar = (self.style == Style::Bar).then(|| bar(stage, total));
+        if self.style == Style::Json {
+            event(&json!({ "event": "started", "scene": self.scene, "stage": stage, "total": total }));
+        }
+        *current = Some(Current { stage, total, done: 0, since: now, told: now, bar });
+    }
+
+    fn advance(&self, done: u64) {
+        let mut current = self.lock();
+        let Some(c) = current.as_mut() else { return };
+        c.done += done;
+        if let Some(bar) = &c.bar {
+            bar.inc(done);
+        }
+        if self.style == Style::Json && c.told.elapsed() >= EVENT_PAUSE {
+            c.told = Instant::now();
+            let (stage, done, total) = (c.stage, c.done, c.total);
+            event(&json!({
+                "event": "progress", "scene": self.scene, "stage": stage, "done": done, "total": total
+            }));
+        }
+    }
+
+    fn is_cancelled(&self) -> bool {
+        self.cancelled.load(Ordering::Relaxed)
+    }
+}
+
+/// A bar that tells share, time so far and time to go; a spinner where the amount of work is unknown.
+fn bar(stage: &'static str, total: u64) -> ProgressBar {
+    let bar = ProgressBar::with_draw_target(Some(total), ProgressDrawTarget::stderr_with_hz(10));
+    let template = if total == 0 {
+        "  {prefix:<12} {spinner} {elapsed}"
+    } else {
+        "  {prefix:<12} {bar:32} {percent:>3} %  {elapsed}, {eta} to go"
+    };
+    if let Ok(style) = ProgressStyle::with_template(template) {
+        bar.set_style(style.progress_chars("=> "));
+    }
+    bar.set_prefix(stage);
+    bar.enable_steady_tick(Duration::from_millis(200));
+    bar
+}
+
+/// A JSON object on standard output. Nobody may be listening any more, which is no reason to stop a bake.
+pub fn event(value: &serde_json::Value) {
+    drop(writeln!(std::io::stdout().lock(), "{value}"));
+}
+
+/// Text on standard output.
+pub fn out(text: &str) {
+    drop(write!(std::io::stdout().lock(), "{text}"));
+}
+
+/// A line for a person.
+pub fn say(line: &str) {
+    drop(writeln!(std::io::stderr().lock(), "{line}"));
+}
+
+/// `3.2 s`, `4 min 5 s`, `1 h 2 min`.
+pub fn duration(seconds: f64) -> String {
+    let whole = seconds.round() as u64;
+    match whole {
+        0..60 => format!("{seconds:.1} s"),
+        60..3600 => format!("{} min {} s", whole / 60, whole % 60),
+        _ => format!("{} h {} min", whole / 3600, whole / 60 % 60),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn durations_read_well() {
+        let said: Vec<String> = [0.04, 59.4, 61.0, 3725.0].map(duration).into();
+        assert_eq!(said, ["0.0 s", "59.4 s", "1 min 1 s", "1 h 2 min"]);
+    }
+
+    #[test]
+    fn a_cancelled_bake_learns_of_it() {
+        let flag = Arc::new(AtomicBool::new(false));
+        let reporter = Reporter::new(Style::Quiet, "a", flag.clone());
+        reporter.begin("rays", 10);
+        reporter.advance(5);
+        assert!(reporter.check().is_ok());
+        flag.store(true, Ordering::Relaxed);
+        assert!(reporter.check().is_err());
+        reporter.finish();
+    }
+}

@@ -1,0 +1,72 @@
+//! What can go wrong in a bake, said with the file, the place and what to do.
+
+use std::path::PathBuf;
+
+use luxel_atlas::{AtlasError, FinishError};
+use luxel_export::ExportError;
+use luxel_scene::{Cancelled, ImportError};
+use luxel_transport::{gather::FieldError, octree::OctreeError, solve::SolveError, surfel::SurfelError};
+
+use crate::settings::SettingsError;
+
+/// A bake that did not happen. Files of an earlier bake are untouched.
+#[derive(Debug, thiserror::Error)]
+pub enum Error {
+    #[error(transparent)]
+    Settings(#[from] SettingsError),
+    #[error(transparent)]
+    Import(#[from] ImportError),
+    #[error("cannot place the scene's texels")]
+    Atlas(#[source] AtlasError),
+    #[error("cannot finish the images")]
+    Finish(#[from] FinishError),
+    #[error("cannot turn the scene into surfels; another --voxels may help")]
+    Surfels(#[source] SurfelError),
+    #[error("light cannot be propagated")]
+    Solve(#[source] SolveError),
+    #[error("the light at surfels does not fit the scene")]
+    Field(#[from] FieldError),
+    #[error("the light at surfels cannot be stored; fewer --voxels may help")]
+    Octree(#[from] OctreeError),
+    #[error("cannot store the light at surfels in {path}")]
+    Store { path: PathBuf, source: std::io::Error },
+    #[error(transparent)]
+    Export(#[from] ExportError),
+    #[error("cannot start {threads} threads; try fewer with --threads")]
+    Threads { threads: u32, source: rayon::ThreadPoolBuildError },
+    #[error("cancelled")]
+    Cancelled,
+}
+
+impl From<Cancelled> for Error {
+    fn from(_: Cancelled) -> Self {
+        Self::Cancelled
+    }
+}
+
+impl From<AtlasError> for Error {
+    fn from(error: AtlasError) -> Self {
+        match error {
+            AtlasError::Cancelled(_) => Self::Cancelled,
+            other => Self::Atlas(other),
+        }
+    }
+}
+
+impl From<SurfelError> for Error {
+    fn from(error: SurfelError) -> Self {
+        match error {
+            SurfelError::Cancelled(_) => Self::Cancelled,
+            other => Self::Surfels(other),
+        }
+    }
+}
+
+impl From<SolveError> for Error {
+    fn from(error: SolveError) -> Self {
+        match error {
+            SolveError::Cancelled(_) => Self::Cancelled,
+            other => Self::Solve(other),
+        }
+    }
+}

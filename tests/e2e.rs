@@ -1,0 +1,209 @@
+//! The binary as a person or a build uses it: on a temporary folder, by its files, its output and its exit code.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+use serde_json::Value;
+use tempfile::TempDir;
+
+/// Settings with which a shipped scene bakes in a moment.
+const QUICK: [&str; 8] = ["--preset", "draft", "--size", "64", "--voxels", "3000", "--directions", "64"];
+
+fn luxel(args: &[&str], folder: &Path) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_luxel")).args(args).current_dir(folder).output().unwrap()
+}
+
+fn quick(args: &[&str], folder: &Path) -> Output {
+    luxel(&[args, &QUICK].concat(), folder)
+}
+
+fn asset(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("assets").join(name)
+}
+
+/// A folder with copies of shipped scenes.
+fn folder(scenes: &[&str]) -> TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    for scene in scenes {
+        std::fs::copy(asset(scene), folder.path().join(scene)).unwrap();
+    }
+    folder
+}
+
+fn text(bytes: &[u8]) -> String {
+    String::from_utf8(bytes.to_vec()).unwrap()
+}
+
+fn succeeded(output: &Output) {
+    assert_eq!(output.status.code(), Some(0), "{}{}", text(&output.stdout), text(&output.stderr));
+}
+
+/// Name and content of every file below a folder, hidden ones left out.
+fn files(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
+    let mut files = BTreeMap::new();
+    let mut open = vec![folder.to_path_buf()];
+    while let Some(path) = open.pop() {
+        for entry in std::fs::read_dir(path).unwrap() {
+            let path = entry.unwrap().path();
+            if path.file_name().unwrap().as_encoded_bytes().starts_with(b".") {
+                continue;
+            } else if path.is_dir() {
+                open.push(path);
+            } else {
+                files.insert(path.strip_prefix(folder).unwrap().into(), std::fs::read(&path).unwrap());
+            }
+        }
+    }
+    files
+}
+
+fn names(folder: &Path) -> Vec<String> {
+    files(folder).keys().map(|p| p.display().to_string()).collect()
+}
+
+#[test]
+fn a_bake_leaves_four_files_that_belong_together() {
+    let folder = folder(&["cornell.glb"]);
+    succeeded(&quick(&["bake", "cornell.glb"], folder.path()));
+    let baked = folder.path().join("baked");
+    assert_eq!(names(&baked), ["cornell.bake.json", "cornell.glb", "cornell.lightmap.exr", "cornell.preview.png"]);
+
+    let report: Value = serde_json::from_slice(&std::fs::read(baked.join("cornell.bake.json")).unwrap()).unwrap();
+    assert_eq!(report["schema"], 1);
+    for output in report["outputs"].as_array().unwrap() {
+        let bytes = std::fs::read(baked.join(output["path"].as_str().unwrap())).unwrap();
+        assert_eq!(output["blake3"], blake3::hash(&bytes).to_hex().as_str(), "{}", output["path"]);
+    }
+    let find =
+        |list: &str, name: &str| report[list].as_array().unwrap().iter().find(|s| s["name"] == name).unwrap().clone();
+    let size = find("settings", "size");
+    assert_eq!((&size["value"], size["origin"].as_str()), (&64.into(), Some("command line")));
+    let sky = find("stages", "sky");
+    assert_eq!((sky["state"].as_str(), sky["reason"].as_str()), (Some("left out"), Some("there is no sky")));
+    assert!(report["quality"]["mean_irradiance_lux"].as_f64().unwrap() > 0.0);
+}
+
+#[test]
+fn the_number_of_threads_changes_no_byte() {
+    let bake = |threads: &str| {
+        let folder = folder(&["textured_room.glb"]);
+        succeeded(&quick(&["bake", "textured_room.glb", "--threads", threads, "--bound"], folder.path()));
+        let mut files = files(&folder.path().join("baked"));
+        // The report holds times.
+        files.remove(Path::new("textured_room.bake.json")).unwrap();
+        files
+    };
+    let one = bake("1");
+    assert!(one.contains_key(Path::new("textured_room.bound.exr")));
+    for threads in ["2", "7"] {
+        for (name, bytes) in bake(threads) {
+            assert!(one[&name] == bytes, "{} differs with {threads} threads", name.display());
+        }
+    }
+}
+
+#[test]
+fn a_scene_that_fails_is_named_and_stops_no_other() {
+    let folder = folder(&["cornell.glb"]);
+    succeeded(&quick(&["bake", "cornell.glb"], folder.path()));
+    let before = files(&folder.path().join("baked"));
+    std::fs::write(folder.path().join("cornell.glb"), b"glTF but not for long").unwrap();
+    std::fs::copy(asset("two_rooms.glb"), folder.path().join("z.glb")).unwrap();
+
+    let output = quick(&["bake", "."], folder.path());
+    assert_eq!(output.status.code(), Some(1));
+    let said = text(&output.stderr);
+    assert!(said.contains("1 of 2 scenes failed") && said.contains("cornell.glb"), "{said}");
+    let after = files(&folder.path().join("baked"));
+    assert!(after.contains_key(Path::new("z.lightmap.exr")), "the other scene is baked");
+    assert!(before.iter().all(|(name, bytes)| after[name] == *bytes), "the last good bake is still there");
+}
+
+#[test]
+fn wrong_usage_is_told_before_anything_is_done() {
+    let folder = folder(&["cornell.glb"]);
+    for (args, expected) in [
+        (vec!["bake", "cornell.glb", "--siez", "64"], "--size"),
+        (vec!["bake", "cornell.glb", "--size", "-3"], "16 to 16384"),
+        (vec!["bake", "corner.glb"], "no such file"),
+        (vec!["bake"], "SCENE"),
+        (vec!["bake", "cornell.glb", "--config", "none.toml"], "none.toml"),
+        (vec!["bake", "cornell.glb", "--out", "."], "would replace the scene"),
+    ] {
+        let output = luxel(&args, folder.path());
+        assert_eq!(output.status.code(), Some(2), "{args:?}");
+        assert!(text(&output.stderr).contains(expected), "{args:?}: {}", text(&output.stderr));
+    }
+    assert_eq!(names(folder.path()), ["cornell.glb"]);
+}
+
+#[test]
+fn a_wrong_key_beside_a_scene_fails_that_scene_with_a_suggestion() {
+    let folder = folder(&["cornell.glb"]);
+    std::fs::write(folder.path().join("luxel.toml"), "sise = 64").unwrap();
+    let output = luxel(&["bake", "cornell.glb"], folder.path());
+    assert_eq!(output.status.code(), Some(1));
+    let said = text(&output.stderr);
+    assert!(said.contains("luxel.toml") && said.contains("did you mean `size`?"), "{said}");
+}
+
+#[test]
+fn a_folder_is_mirrored_and_its_outputs_are_no_scenes() {
+    let folder = folder(&[]);
+    std::fs::create_dir_all(folder.path().join("levels/deep")).unwrap();
+    std::fs::copy(asset("cornell.glb"), folder.path().join("levels/deep/a.glb")).unwrap();
+    for _ in 0..2 {
+        succeeded(&quick(&["bake", "levels", "--out", "levels/lit"], folder.path()));
+    }
+    let lit = names(&folder.path().join("levels/lit"));
+    assert!(lit.contains(&"deep/a.glb".to_owned()) && lit.iter().all(|n| n.starts_with("deep/a.")), "{lit:?}");
+}
+
+#[test]
+fn machines_read_one_object_per_line_and_nothing_else() {
+    let folder = folder(&["cornell.glb"]);
+    let output = quick(&["bake", "cornell.glb", "--json"], folder.path());
+    succeeded(&output);
+    assert_eq!(text(&output.stderr), "");
+    let events: Vec<Value> = text(&output.stdout).lines().map(|l| serde_json::from_str(l).unwrap()).collect();
+    assert_eq!(events.last().unwrap()["event"], "done");
+    let baked = events.iter().find(|e| e["event"] == "baked").unwrap();
+    assert_eq!(baked["outputs"].as_array().unwrap().len(), 4);
+    assert!(events.iter().any(|e| e["event"] == "started" && e["stage"] == "unwrap"));
+}
+
+#[test]
+fn quiet_is_quiet() {
+    let folder = folder(&["cornell.glb"]);
+    let output = quick(&["bake", "cornell.glb", "--quiet"], folder.path());
+    succeeded(&output);
+    assert!(output.stdout.is_empty() && output.stderr.is_empty(), "{}", text(&output.stderr));
+}
+
+#[test]
+fn the_plan_tells_every_stage_and_writes_nothing() {
+    let folder = folder(&["colonnade.glb"]);
+    let output = luxel(&["plan", "colonnade.glb"], folder.path());
+    succeeded(&output);
+    let said = text(&output.stdout);
+    for stage in luxel::plan::Stage::ALL {
+        assert!(said.lines().any(|l| l.trim_start().starts_with(stage.name())), "{}: {said}", stage.name());
+    }
+    assert!(said.contains("1 sun") && said.contains("MiB"), "{said}");
+    let output = luxel(&["plan", "colonnade.glb", "--json", "--sky", "none"], folder.path());
+    let said = text(&output.stdout);
+    let event: Value = serde_json::from_str(said.lines().find(|l| l.contains("\"plan\"")).unwrap()).unwrap();
+    let steps = event["plan"]["steps"].as_array().unwrap();
+    let sky = steps.iter().find(|s| s["stage"] == "sky").unwrap();
+    assert_eq!(sky["runs"], false, "the command line lies over the scene's extras");
+    assert_eq!(names(folder.path()), ["colonnade.glb"]);
+}
+
+#[test]
+fn the_defaults_can_be_had_as_a_file() {
+    let folder = folder(&[]);
+    let output = luxel(&["defaults"], folder.path());
+    succeeded(&output);
+    assert_eq!(output.stdout, std::fs::read(asset("luxel.toml")).unwrap());
+}
