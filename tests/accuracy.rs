@@ -1,0 +1,75 @@
+//! The shipped scenes at the default preset against the reference path tracer, upright and tilted.
+
+mod support;
+
+use luxel_scene::Scene;
+use support::*;
+
+/// Texels per scene and paths per texel of the reference.
+const TEXELS: usize = 400;
+const PATHS: u32 = 4096;
+
+fn assert_accurate(name: &str, scene: &Scene) {
+    let settings = medium_512();
+    let lit = bake(scene, &settings);
+    let texels = some_texels(&lit, TEXELS, |_| true);
+    let s = score_texels(scene, &lit, &texels, PATHS);
+    println!(
+        "{name}: mean E {:.4}, RMSE {:.2} %, bias {:+.2} %, median {:.2} %, p95 {:.1} %, reference noise {:.2} %",
+        s.mean, 100.0 * s.rmse, 100.0 * s.bias, 100.0 * s.median, 100.0 * s.p95, 100.0 * s.noise
+    );
+    assert!(s.noise < 0.01, "the reference is too noisy to judge by: {s:?}");
+    assert!(s.rmse <= 0.03, "{s:?}");
+    assert!(s.bias.abs() <= 0.01, "{s:?}");
+    assert!(s.p95 <= 0.10, "{s:?}");
+}
+
+#[test]
+fn cornell() {
+    assert_accurate("cornell", &luxel_assets::cornell());
+}
+
+#[test]
+fn two_rooms() {
+    assert_accurate("two rooms", &luxel_assets::two_rooms());
+}
+
+#[test]
+fn colonnade() {
+    assert_accurate("colonnade", &luxel_assets::colonnade());
+}
+
+#[test]
+fn textured_room() {
+    assert_accurate("textured room", &luxel_assets::textured_room());
+}
+
+#[test]
+fn many_lamps() {
+    assert_accurate("many lamps", &luxel_assets::many_lamps());
+}
+
+#[test]
+fn cornell_tilted() {
+    assert_accurate("cornell tilted", &tilted(luxel_assets::cornell()));
+}
+
+#[test]
+fn two_rooms_tilted() {
+    assert_accurate("two rooms tilted", &tilted(luxel_assets::two_rooms()));
+}
+
+#[test]
+fn colonnade_tilted() {
+    assert_accurate("colonnade tilted", &tilted(luxel_assets::colonnade()));
+}
+
+#[test]
+fn textured_room_tilted() {
+    assert_accurate("textured room tilted", &tilted(luxel_assets::textured_room()));
+}
+
+#[test]
+fn many_lamps_tilted() {
+    assert_accurate("many lamps tilted", &tilted(luxel_assets::many_lamps()));
+}

@@ -1,0 +1,171 @@
+//! What the whole-tool tests share: a bake in memory, and its error against the reference path tracer by the metrics
+//! of the design: over valid texels, weighted by area, RMSE and bias over the mean irradiance, and percentiles of the
+//! relative error.
+
+#![allow(dead_code)] // Every test binary uses its part of this.
+
+use std::path::PathBuf;
+
+use glam::{DAffine3, DVec3, Vec2, Vec3};
+use luxel::settings::{Preset, Settings, value::Texels};
+use luxel::{Lit, bake_scene};
+use luxel_scene::{Scene, Silent};
+use luxel_transport::{
+    gather::Receiver,
+    geometry::Geometry,
+    rays::Rays,
+    reference::{Estimate, Options, Reference},
+    sampling::{mix, unit},
+};
+
+/// The preset `medium` on one atlas of 512².
+pub fn medium_512() -> Settings {
+    Settings { size: Texels(512), ..Settings::preset(Preset::Medium) }
+}
+
+/// Bakes in memory; panics with the bake's own message.
+pub fn bake(scene: &Scene, settings: &Settings) -> Lit {
+    bake_scene(scene, settings, &Silent).unwrap_or_else(|e| panic!("{}: {e:?}", scene.name))
+}
+
+/// Where the real scenes are, or None with a plain word about it.
+pub fn scenes() -> Option<PathBuf> {
+    let path = std::env::var_os("LUXEL_SCENES")
+        .map_or_else(|| PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../shared/scenes")), PathBuf::from);
+    if path.is_dir() {
+        return Some(path);
+    }
+    eprintln!("SKIPPED: no scenes at {} (set LUXEL_SCENES)", path.display());
+    None
+}
+
+/// A texel that counts: at least half covered and not inside geometry.
+pub fn is_valid(lit: &Lit, texel: usize) -> bool {
+    lit.atlas.texels[texel].coverage >= 0.5 && !lit.texels.buried[texel]
+}
+
+/// What the finished lightmap holds at a texel [lux].
+pub fn value(lit: &Lit, texel: usize) -> Vec3 {
+    let t = &lit.atlas.texels[texel];
+    let map = &lit.lightmaps[usize::from(t.page)];
+    map.irradiance()[usize::from(t.y) * map.width() as usize + usize::from(t.x)]
+}
+
+/// The finished lightmap at a point of an instance's mesh, filtered as engines do [lux].
+pub fn value_at(lit: &Lit, instance: u32, triangle: u32, u: f32, v: f32) -> Vec3 {
+    let placed = lit.atlas.placed[instance as usize].as_ref().expect("the instance receives");
+    let [a, b, c] = placed.triangles[triangle as usize].map(|i| placed.uvs[i as usize]);
+    let uv: Vec2 = a * (1.0 - u - v) + b * u + c * v;
+    lit.lightmaps[placed.page as usize].sample(uv)
+}
+
+/// About `count` valid texels that satisfy `wanted`, spread evenly over the atlas by a fixed pattern.
+pub fn some_texels(lit: &Lit, count: usize, wanted: impl Fn(usize) -> bool) -> Vec<usize> {
+    let all: Vec<usize> = (0..lit.atlas.texels.len()).filter(|&i| is_valid(lit, i) && wanted(i)).collect();
+    let stride = (all.len() as f64 / count as f64).max(1.0);
+    let steps = (all.len() as f64 / stride) as usize;
+    (0..steps)
+        .map(|k| all[((k as f64 + f64::from(unit(mix(k as u64)))) * stride) as usize % all.len()])
+        .collect()
+}
+
+/// World position of a texel.
+pub fn position(scene: &Scene, lit: &Lit, texel: usize) -> DVec3 {
+    let t = &lit.atlas.texels[texel];
+    let instance = &scene.instances[t.instance as usize];
+    let [a, b, c] = scene.corners(instance.mesh, t.triangle as usize);
+    instance.transform.transform_point3((a + (b - a) * t.u + (c - a) * t.v).as_dvec3())
+}
+
+/// Reference irradiance at texels, each with its own standard error.
+pub fn reference(scene: &Scene, lit: &Lit, texels: &[usize], paths: u32) -> Vec<Estimate> {
+    let geometry = Geometry::new(scene);
+    let rays = Rays::new(&geometry);
+    let receivers: Vec<Receiver> = texels
+        .iter()
+        .map(|&i| {
+            let t = &lit.atlas.texels[i];
+            let triangle = geometry.triangle(t.instance, t.triangle);
+            let footprint = geometry.frame.length(f64::from(t.footprint));
+            Receiver::on_triangle(&geometry, triangle, t.u, t.v, footprint, t.seed)
+        })
+        .collect();
+    Reference::new(&rays, Options::default()).irradiances(&receivers, paths, &Silent).expect("not cancelled")
+}
+
+/// The error of some values against others.
+#[derive(Clone, Copy, Debug)]
+pub struct Score {
+    pub samples: usize,
+    /// Area-weighted mean of the reference, band mean [lux].
+    pub mean: f64,
+    /// Over all three bands, over the mean. Includes the reference's own noise.
+    pub rmse: f64,
+    pub bias: f64,
+    /// Percentiles of |ΔY| / max(Y, 1 % of the mean Y).
+    pub median: f64,
+    pub p95: f64,
+    /// Root mean square of the reference's standard error over the mean.
+    pub noise: f64,
+}
+
+/// Compares values with a reference; `noise` are the reference's standard errors, `weights` areas.
+pub fn score(values: &[Vec3], truth: &[Vec3], noise: &[f32], weights: &[f64]) -> Score {
+    let total: f64 = weights.iter().sum();
+    let over = |f: &dyn Fn(usize) -> f64| weights.iter().enumerate().map(|(i, w)| w * f(i)).sum::<f64>() / total;
+    let y = |v: Vec3| f64::from(v.element_sum()) / 3.0;
+    let mean = over(&|i| y(truth[i]));
+    let square = over(&|i| (values[i] - truth[i]).as_dvec3().length_squared() / 3.0);
+    let mut relative: Vec<f64> = (0..values.len())
+        .map(|i| (y(values[i]) - y(truth[i])).abs() / y(truth[i]).max(0.01 * mean))
+        .collect();
+    relative.sort_by(f64::total_cmp);
+    let percentile = |q: f64| relative[((relative.len() - 1) as f64 * q) as usize];
+    Score {
+        samples: values.len(),
+        mean,
+        rmse: square.sqrt() / mean,
+        bias: over(&|i| y(values[i]) - y(truth[i])) / mean,
+        median: percentile(0.5),
+        p95: percentile(0.95),
+        noise: over(&|i| f64::from(noise[i]).powi(2)).sqrt() / mean,
+    }
+}
+
+/// The score of a bake at some of its texels.
+pub fn score_texels(scene: &Scene, lit: &Lit, texels: &[usize], paths: u32) -> Score {
+    let estimates = reference(scene, lit, texels, paths);
+    let values: Vec<Vec3> = texels.iter().map(|&i| value(lit, i)).collect();
+    let truth: Vec<Vec3> = estimates.iter().map(|e| e.total).collect();
+    let noise: Vec<f32> = estimates.iter().map(|e| e.standard_error).collect();
+    score(&values, &truth, &noise, &areas(lit, texels))
+}
+
+/// World areas of texels.
+pub fn areas(lit: &Lit, texels: &[usize]) -> Vec<f64> {
+    texels
+        .iter()
+        .map(|&i| {
+            let t = &lit.atlas.texels[i];
+            f64::from(t.footprint).powi(2) * f64::from(t.coverage)
+        })
+        .collect()
+}
+
+/// Two bakes of one scene under different transforms (or settings), compared at equal points of its meshes.
+pub fn score_copies(a: &Lit, b: &Lit, texels: &[usize]) -> Score {
+    let at = |lit: &Lit, i: usize| {
+        let t = &a.atlas.texels[i];
+        value_at(lit, t.instance, t.triangle, t.u, t.v)
+    };
+    let truth: Vec<Vec3> = texels.iter().map(|&i| at(a, i)).collect();
+    let values: Vec<Vec3> = texels.iter().map(|&i| at(b, i)).collect();
+    score(&values, &truth, &vec![0.0; texels.len()], &areas(a, texels))
+}
+
+/// 30° about X, then 30° about Y: no wall is aligned with the voxels any more.
+pub fn tilted(scene: Scene) -> Scene {
+    let angle = 30f64.to_radians();
+    let turn = DAffine3::from_rotation_y(angle) * DAffine3::from_rotation_x(angle);
+    luxel_scene::build::transformed(scene, turn)
+}
