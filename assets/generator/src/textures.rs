@@ -2,13 +2,10 @@
 
 use luxel_scene::Texture;
 
-/// Alpha below which the grating is not there.
-pub const GRATING_CUTOFF: f32 = 0.5;
-
 fn paint(name: &str, size: [u32; 2], srgb: bool, texel: impl Fn(u32, u32) -> [u8; 4]) -> Texture {
     let [width, height] = size;
     let texels = (0..height).flat_map(|y| (0..width).map(move |x| (x, y))).map(|(x, y)| texel(x, y)).collect();
-    Texture { name: name.into(), width, height, srgb, texels, ..Texture::default() }
+    Texture { name: name.into(), width, height, srgb, texels }
 }
 
 /// A grain that depends on the texel alone, in [0, `depth`).
@@ -39,11 +36,10 @@ pub fn brick() -> Texture {
 
 /// Bars of a quarter of their distance; between them the surface is not there.
 pub fn grating() -> Texture {
-    let bars = paint("grating", [32, 32], true, |x, y| {
+    paint("grating", [32, 32], true, |x, y| {
         let bar = x < 8 || y < 8;
         [90, 92, 96, if bar { 255 } else { 0 }]
-    });
-    Texture { cutoff: Some(GRATING_CUTOFF), ..bars }
+    })
 }
 
 /// Coloured stripes for an emissive surface.

@@ -63,11 +63,7 @@ impl Materials {
                 double_sided: true,
                 ..Material::default()
             }),
-            grating: b.material(Material {
-                alpha: Alpha::Mask(textures::GRATING_CUTOFF),
-                double_sided: true,
-                ..textured("grating", 2)
-            }),
+            grating: b.material(Material { alpha: Alpha::Mask(0.5), double_sided: true, ..textured("grating", 2) }),
             wood: matte(b, "wood", [0.45, 0.3, 0.18]),
             screen: b.material(Material {
                 name: "screen".into(),
