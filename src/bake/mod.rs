@@ -1,5 +1,6 @@
 //! The bake of one scene: the whole chain, stage by stage, from a file to files.
 
+mod direct;
 mod export;
 mod finish;
 mod input;

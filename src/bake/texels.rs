@@ -7,7 +7,6 @@ use luxel_atlas::{Atlas, Chart, Texel};
 use luxel_scene::Progress;
 use luxel_transport::{
     Rgb,
-    direct::{Direct, DirectSettings},
     gather::{
         Field, FinalGather, Gather, Gathered, Lightcuts, Lookup, Receiver, lightcuts,
         nodes::{Cell, NodeSettings, interpolate},
@@ -20,6 +19,7 @@ use luxel_transport::{
 };
 use rayon::prelude::*;
 
+use super::direct;
 use super::journal::{Counters, Journal};
 use super::transport::Transport;
 use crate::Error;
@@ -232,8 +232,9 @@ pub fn run(
     })?;
 
     journal.run(plan, Stage::Direct, Some(work), |progress, counters| {
-        let direct = Direct::new(rays, &transport.emitters, direct_settings(settings));
-        gather(&mut sides, &direct, Part::Direct, None, progress, counters)
+        direct::with(rays, &transport.emitters, settings, |direct| {
+            gather(&mut sides, direct, Part::Direct, None, progress, counters)
+        })
     })?;
     journal.run(plan, Stage::Sky, Some(work), |progress, counters| {
         let sky = SkyLight::new(rays, SkySettings { rays: settings.sky_rays.0, ..SkySettings::default() });
@@ -264,10 +265,6 @@ pub fn skip(plan: &Plan, journal: &mut Journal) {
     for stage in [Stage::Clear, Stage::Direct, Stage::Sky, Stage::Gather] {
         journal.left_out(plan, stage);
     }
-}
-
-pub fn direct_settings(settings: &Settings) -> DirectSettings {
-    DirectSettings { samples: settings.shadow_samples.0, ..DirectSettings::default() }
 }
 
 fn lightcut_settings(settings: &Settings) -> lightcuts::Settings {

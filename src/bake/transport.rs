@@ -7,7 +7,6 @@ use luxel_export::report::StageState;
 use luxel_scene::{Scene, Sky};
 use luxel_transport::{
     Rgb,
-    direct::Direct,
     gather::{Field, refresh},
     lights::Emitters,
     octree::Octree,
@@ -17,8 +16,8 @@ use luxel_transport::{
     surfel::{Resolution, Solution, Surfels, VoxelSettings},
 };
 
-use super::input;
 use super::journal::{Counters, Journal};
+use super::{direct, input};
 use crate::Error;
 use crate::plan::{Plan, Stage};
 use crate::settings::{Closed, Settings, Voxels};
@@ -180,8 +179,10 @@ fn made(
             let how = PhotonSettings { primary, directions: PHOTONS_PER_POINT };
             shoot::photons(rays, emitters, &surfels, how, progress)?
         } else {
-            let direct = Direct::new(rays, emitters, super::texels::direct_settings(settings));
-            shoot::exact(geometry, &surfels, &direct, POINTS, progress)?
+            let points = if direct::is_crowded(geometry, emitters) { 1 } else { POINTS };
+            direct::with(rays, emitters, settings, |direct| {
+                Ok(shoot::exact(geometry, &surfels, direct, points, progress)?)
+            })?
         };
         counters.insert("primary_photons".into(), shot.primary_photons);
         counters.insert("direct_photons".into(), shot.direct_photons);
