@@ -12,7 +12,8 @@ const MAX_FILE: u64 = 1 << 20;
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Origin {
     Default,
-    Preset,
+    /// The preset that was chosen.
+    Preset(Preset),
     /// A settings file.
     File(PathBuf),
     /// The extras of the scene file.
@@ -26,7 +27,7 @@ impl fmt::Display for Origin {
     fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
         match self {
             Self::Default => f.write_str("default"),
-            Self::Preset => f.write_str("preset"),
+            Self::Preset(preset) => write!(f, "preset {}", preset.write()),
             Self::File(path) => write!(f, "{}", path.display()),
             Self::Extras(path) => write!(f, "extras of {}", path.display()),
             Self::CommandLine => f.write_str("command line"),
@@ -239,7 +240,7 @@ pub fn resolve(layers: &[Layer]) -> Result<Resolved, SettingsError> {
         let defaults = Settings::default();
         for (field, origin) in FIELDS.iter().zip(&mut resolved.origins) {
             if (field.get)(&resolved.settings) != (field.get)(&defaults) {
-                *origin = Origin::Preset;
+                *origin = Origin::Preset(preset);
             }
         }
     }
@@ -291,7 +292,8 @@ mod tests {
         assert_eq!(resolved.settings.sky_rays.0, 5);
         assert_eq!(resolved.settings.directions, Settings::preset(Preset::Final).directions);
         let origin = |name| resolved.list().find(|(f, ..)| f.name == name).unwrap().2.clone();
-        assert_eq!(origin("directions"), Origin::Preset);
+        assert_eq!(origin("directions"), Origin::Preset(Preset::Final));
+        assert_eq!(origin("directions").to_string(), "preset final");
         assert_eq!(origin("preset"), Origin::CommandLine);
     }
 

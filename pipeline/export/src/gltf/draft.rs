@@ -125,6 +125,10 @@ impl<'a> Draft<'a> {
             run = Some((buffer, end.max(copied), shift));
             offsets[i] = shift.wrapping_add(start);
         }
+        if bin.is_empty() && !sources.is_empty() {
+            // Views without a byte need a buffer all the same, and a buffer has at least one.
+            bin.resize(4, 0);
+        }
         self.describe_buffer(&offsets, bin.len());
         Ok(bin)
     }

@@ -9,6 +9,7 @@ use super::extras::Keys;
 use super::nodes::Visit;
 use super::notes::Notes;
 use super::options::ImportOptions;
+use super::power::BRIGHTEST;
 use super::transform::MAX_COORDINATE;
 use crate::{Light, LightKind};
 
@@ -93,6 +94,12 @@ fn intensity(light: &Value, options: &ImportOptions, at: &str, notes: &mut Notes
     let intensity = color * strength * options.light_scale;
     if !intensity.is_finite() {
         return Err(wrong("intensity or color"));
+    }
+    if intensity.max_element() > BRIGHTEST {
+        return Err(Fault::invalid(
+            at,
+            format!("its intensity of {:e} is beyond {BRIGHTEST:e}", intensity.max_element()),
+        ));
     }
     if intensity.min_element() < 0.0 {
         notes.add("negative-light", format!("{at}: its intensity is negative and counts as 0"));
@@ -201,6 +208,7 @@ mod tests {
             r#"[]"#,
             r#"[{"type":"point","color":[1,1]}]"#,
             r#"[{"type":"point","intensity":1e39}]"#,
+            r#"[{"type":"point","intensity":2e20}]"#,
             r#"[{"type":"point","range":"far"}]"#,
         ] {
             assert!(lights(&nodes, bad).is_err(), "{bad}");

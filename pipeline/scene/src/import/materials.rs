@@ -14,6 +14,7 @@ use super::error::{Checked, Fault};
 use super::images::{Encoding, Images};
 use super::notes::Notes;
 use super::options::ImportOptions;
+use super::power::BRIGHTEST;
 use super::primitives::MAX_UV_SET;
 use crate::material::MAX_ALBEDO;
 use crate::{Alpha, AlphaUse, Material, Texture, TextureRef, Wrap};
@@ -138,6 +139,10 @@ fn emission(
     let emission = Vec3::from_array(source.emissive_factor.0) * strength * options.emissive_scale;
     if !emission.is_finite() {
         return Err(Fault::invalid(place, "its emission is not finite"));
+    }
+    if emission.max_element() > BRIGHTEST {
+        let what = format!("its emission of {:e} cd/m² is beyond {BRIGHTEST:e}", emission.max_element());
+        return Err(Fault::invalid(place, what));
     }
     if emission.min_element() < 0.0 {
         notes.add("negative-light", format!("{place}: its emission is negative and counts as 0"));

@@ -10,6 +10,10 @@ use crate::{AlphaUse, LightKind, Scene};
 /// Emissive and punctual light that differ by more than this factor are worth a notice.
 const SUSPICIOUS: f64 = 1e4;
 
+/// Largest intensity [cd], illuminance [lux] and radiance [cd/m²] that is read. The sun's surface has 1.6e9; beyond this
+/// sums over many bounces and squared distances leave the range of 32 bit.
+pub const BRIGHTEST: f32 = 1e20;
+
 /// Flux of punctual and of emissive light, in the scene's photometric units (lm).
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Power {

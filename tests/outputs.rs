@@ -1,0 +1,276 @@
+//! The contract of the outputs: names and pages, what flags and extras do to them, what is stored and reused, and what
+//! is left alone when something fails.
+
+mod tool;
+
+use std::path::{Path, PathBuf};
+
+use serde_json::{Value, json};
+use tempfile::TempDir;
+use tool::*;
+
+/// Settings with which a shipped scene bakes in a moment.
+const QUICK: [&str; 8] = ["--preset", "draft", "--size", "64", "--voxels", "3000", "--directions", "64"];
+
+fn quick(args: &[&str], folder: &Path) -> Run {
+    luxel(&[args, &QUICK].concat(), folder)
+}
+
+fn folder(scenes: &[&str]) -> TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    for scene in scenes {
+        std::fs::copy(asset(scene), folder.path().join(scene)).unwrap();
+    }
+    folder
+}
+
+/// JSON and binary chunk of a shipped scene.
+fn parts(name: &str) -> (Value, Vec<u8>) {
+    let bytes = std::fs::read(asset(name)).unwrap();
+    let length = u32::from_le_bytes(bytes[12..16].try_into().unwrap()) as usize;
+    let (json, rest) = bytes[20..].split_at(length);
+    (serde_json::from_slice(json).unwrap(), rest[8..].to_vec())
+}
+
+/// Writes a scene as `stem.gltf` beside `stem.bin`.
+fn write_gltf(folder: &Path, stem: &str, mut document: Value, bin: &[u8]) -> PathBuf {
+    document["buffers"][0]["uri"] = json!(format!("{stem}.bin"));
+    std::fs::write(folder.join(format!("{stem}.bin")), bin).unwrap();
+    let path = folder.join(format!("{stem}.gltf"));
+    std::fs::write(&path, document.to_string()).unwrap();
+    path
+}
+
+/// The Cornell box with extras on the node of that name, baked.
+fn cornell_with(node: &str, extras: Value) -> (Outputs, usize) {
+    let (mut document, bin) = parts("cornell.glb");
+    let nodes = document["nodes"].as_array_mut().unwrap();
+    let index = nodes.iter().position(|n| n["name"] == node).unwrap();
+    nodes[index]["extras"] = extras;
+    let folder = tempfile::tempdir().unwrap();
+    write_gltf(folder.path(), "a", document, &bin);
+    quick(&["bake", "a.gltf"], folder.path()).ended(0);
+    (Outputs::read(&folder.path().join("baked"), "a"), index)
+}
+
+/// Area of a node's charts, as a share of its page.
+fn share(outputs: &Outputs, node: usize) -> f32 {
+    let of_instance = |i: &luxel_scene::Instance| {
+        let mesh = &outputs.scene.meshes[i.mesh];
+        let Some(uvs) = mesh.uvs.get(1).filter(|uvs| !uvs.is_empty()) else { return 0.0 };
+        let corners = mesh.triangles.iter().map(|t| t.map(|i| uvs[i as usize]));
+        corners.map(|[a, b, c]| 0.5 * (b - a).perp_dot(c - a).abs()).sum::<f32>()
+    };
+    outputs.scene.instances.iter().filter(|i| i.node == node).map(of_instance).sum()
+}
+
+fn mean(outputs: &Outputs) -> f64 {
+    outputs.report["quality"]["mean_irradiance_lux"].as_f64().unwrap()
+}
+
+#[test]
+fn several_pages_are_numbered_and_go_when_one_suffices() {
+    let folder = folder(&["cornell.glb"]);
+    let dense = ["bake", "cornell.glb", "--texel-density", "120", "--bound"];
+    quick(&dense, folder.path()).ended(0);
+    let baked = folder.path().join("baked");
+    let outputs = Outputs::read(&baked, "cornell");
+    let pages = outputs.lightmaps.len();
+    assert!(pages > 1, "{pages} page");
+    let names: Vec<String> = files(&baked).into_keys().collect();
+    for page in 0..pages {
+        for kind in ["lightmap", "bound"] {
+            assert!(names.contains(&format!("cornell.{kind}.{page}.exr")), "{names:?}");
+        }
+    }
+    assert!(!names.contains(&"cornell.lightmap.exr".to_owned()), "{names:?}");
+    let nodes = outputs.document["nodes"].as_array().unwrap();
+    let mut used = vec![false; pages];
+    for node in nodes.iter().filter(|n| n.get("mesh").is_some()) {
+        used[node["extras"]["lightmap"].as_u64().unwrap() as usize] = true;
+    }
+    assert!(used.iter().all(|u| *u), "every page holds a node");
+
+    quick(&["bake", "cornell.glb"], folder.path()).ended(0);
+    let names: Vec<String> = files(&baked).into_keys().collect();
+    assert_eq!(names, ["cornell.bake.json", "cornell.glb", "cornell.lightmap.exr", "cornell.preview.png"]);
+}
+
+#[test]
+fn direct_and_indirect_light_make_the_whole() {
+    let folder = folder(&["cornell.glb"]);
+    let bake = |only: &str| {
+        quick(&["bake", "cornell.glb", "--only", only, "--out", only], folder.path()).ended(0);
+        Outputs::read(&folder.path().join(only), "cornell")
+    };
+    let [all, direct, indirect] = ["all", "direct", "indirect"].map(bake);
+    let (mut off, mut sum) = (0.0, 0.0);
+    for (i, whole) in all.lightmaps[0].irradiance().iter().enumerate() {
+        let parts = direct.lightmaps[0].irradiance()[i] + indirect.lightmaps[0].irradiance()[i];
+        off += f64::from((*whole - parts).abs().element_sum());
+        sum += f64::from(whole.element_sum());
+    }
+    assert!(sum > 0.0 && off < 1e-3 * sum, "{off} of {sum}");
+    for (outputs, stage) in [(&direct, "propagate"), (&indirect, "direct")] {
+        let (state, reason) = outputs.stage(stage);
+        assert!(state == "left out" && reason.contains("only"), "{stage}: {state}, {reason}");
+    }
+}
+
+#[test]
+fn twins_side_by_side_keep_their_extensions() {
+    let folder = folder(&[]);
+    let (document, bin) = parts("cornell.glb");
+    write_gltf(folder.path(), "a", document, &bin);
+    std::fs::copy(asset("two_rooms.glb"), folder.path().join("a.glb")).unwrap();
+    quick(&["bake", "."], folder.path()).ended(0);
+    let baked = folder.path().join("baked");
+    let [glb, gltf] = ["a.glb", "a.gltf"].map(|stem| Outputs::read(&baked, stem));
+    assert_eq!(files(&baked).len(), 8);
+    assert_ne!(glb.scene.triangle_count(), gltf.scene.triangle_count());
+    // An outside buffer is inside now.
+    assert!(gltf.document["buffers"][0].get("uri").is_none());
+}
+
+#[test]
+fn an_output_folder_that_cannot_be_made_is_named() {
+    let folder = folder(&["cornell.glb"]);
+    std::fs::write(folder.path().join("taken"), b"a file").unwrap();
+    for out in ["taken", "taken/deeper"] {
+        let run = quick(&["bake", "cornell.glb", "--out", out], folder.path()).ended(1);
+        assert!(run.stderr.contains("taken"), "{}", run.stderr);
+    }
+    assert_eq!(files(folder.path()).len(), 2);
+}
+
+#[test]
+fn failures_are_events_too_and_not_even_quiet_hides_them() {
+    let folder = folder(&["cornell.glb"]);
+    std::fs::write(folder.path().join("bad.gltf"), r#"{"asset":{"version":"1.0"}}"#).unwrap();
+    let run = quick(&["bake", "bad.gltf", "cornell.glb", "--json"], folder.path()).ended(1);
+    let events: Vec<Value> = run.stdout.lines().map(|l| serde_json::from_str(l).unwrap()).collect();
+    let failed = events.iter().find(|e| e["event"] == "failed").unwrap();
+    assert!(failed["scene"] == "bad.gltf" && failed["error"].as_str().unwrap().contains("glTF 1.0"), "{failed}");
+    assert!(events.iter().any(|e| e["event"] == "baked" && e["scene"] == "cornell.glb"));
+    assert_eq!(events.last().unwrap()["failed"], json!(["bad.gltf"]));
+    let run = quick(&["bake", "bad.gltf", "--quiet"], folder.path()).ended(1);
+    assert!(run.stdout.is_empty() && run.stderr.contains("bad.gltf"), "{}{}", run.stdout, run.stderr);
+}
+
+#[test]
+fn settings_lie_over_each_other_and_say_where_they_come_from() {
+    let folder = folder(&[]);
+    let (mut document, bin) = parts("cornell.glb");
+    document["scenes"][0]["extras"] = json!({"luxel": {"padding": 4, "directions": 32}});
+    write_gltf(folder.path(), "a", document, &bin);
+    std::fs::write(folder.path().join("luxel.toml"), "padding = 3\nbounces = 5\npreset = \"draft\"\n").unwrap();
+    luxel(&["bake", "a.gltf", "--size", "64", "--directions", "64"], folder.path()).ended(0);
+    let outputs = Outputs::read(&folder.path().join("baked"), "a");
+    let setting = |name: &str| {
+        let list = outputs.report["settings"].as_array().unwrap();
+        let found = list.iter().find(|s| s["name"] == name).unwrap();
+        (found["value"].clone(), found["origin"].as_str().unwrap().to_owned())
+    };
+    assert_eq!(setting("directions"), (json!(64), "command line".into()));
+    let (padding, origin) = setting("padding");
+    assert!(padding == 4 && origin.contains("extras"), "{padding} from {origin}");
+    let (bounces, origin) = setting("bounces");
+    assert!(bounces == 5 && origin.contains("luxel.toml"), "{bounces} from {origin}");
+    assert_eq!(setting("shadow_samples"), (json!(16), "preset draft".into()));
+    assert_eq!(setting("only").1, "default");
+}
+
+#[test]
+fn extras_of_nodes_are_honoured() {
+    let (plain, block) = cornell_with("high block", json!({}));
+    let (large, _) = cornell_with("high block", json!({"luxel_scale": 2}));
+    let grown = share(&large, block) / share(&plain, block) / (share(&large, 0) / share(&plain, 0));
+    assert!((3.0..5.5).contains(&grown), "twice the density is {grown} times the area beside a plain node");
+
+    let (ignored, _) = cornell_with("high block", json!({"luxel_ignore": true}));
+    assert_eq!(share(&ignored, block), 0.0);
+    assert_eq!(
+        ignored.scene.triangle_count(),
+        plain.scene.triangle_count() - 10,
+        "it is passed over on the way back too"
+    );
+    assert_eq!(ignored.document["nodes"][block]["name"], "high block", "but it is still in the file");
+
+    let (ghost, _) = cornell_with("high block", json!({"luxel_cast": false}));
+    assert!(share(&ghost, block) > 0.0, "what casts no shadow is lit all the same");
+    let floor = |o: &Outputs| {
+        let instance = o.scene.instances.iter().position(|i| i.node == 0).unwrap();
+        let n = o.scene.meshes[o.scene.instances[instance].mesh].triangles.len();
+        (0..n).map(|t| o.at(instance, t, 0.3, 0.3).unwrap().element_sum()).sum::<f32>()
+    };
+    assert!(floor(&ghost) != floor(&plain) && mean(&ghost) != mean(&plain));
+
+    let (blind, _) = cornell_with("high block", json!({"luxel_receive": false}));
+    assert_eq!(share(&blind, block), 0.0);
+    let (odd, _) = cornell_with("high block", json!({"luxel_scale": "big"}));
+    assert_eq!(odd.warnings("invalid-extra").len(), 1);
+}
+
+/// The outputs whose bytes do not tell the time.
+fn timeless(folder: &Path) -> Vec<(String, Vec<u8>)> {
+    files(folder).into_iter().filter(|(name, _)| !name.ends_with(".json")).collect()
+}
+
+#[test]
+fn the_stored_light_is_reused_and_a_damaged_one_made_anew() {
+    let folder = folder(&["cornell.glb"]);
+    let baked = folder.path().join("baked");
+    let bake = |flags: &[&str]| {
+        quick(&[&["bake", "cornell.glb"], flags].concat(), folder.path()).ended(0);
+        Outputs::read(&baked, "cornell")
+    };
+    assert_eq!(bake(&[]).stage("propagate").0, "ran");
+    let first = timeless(&baked);
+    let again = bake(&[]);
+    for stage in ["surfels", "shoot", "propagate", "cache"] {
+        assert_eq!(again.stage(stage).0, "reused", "{stage}");
+    }
+    assert!(timeless(&baked) == first, "reused light gives the same bytes");
+    assert_eq!(again.stage("gather").0, "ran");
+
+    let cache = baked.join(".luxel/cornell.octree");
+    let whole = std::fs::read(&cache).unwrap();
+    let mut torn = whole.clone();
+    torn.truncate(whole.len() / 2);
+    let mut flipped = whole.clone();
+    flipped[whole.len() - 9] ^= 4;
+    for broken in [torn, flipped, Vec::new(), b"no cache".to_vec()] {
+        std::fs::write(&cache, &broken).unwrap();
+        let rebuilt = bake(&[]);
+        assert_eq!(rebuilt.stage("propagate").0, "ran");
+        let told = rebuilt.warnings("cache-miss");
+        assert!(told.len() == 1 && told[0].contains("cornell.octree"), "{told:?}");
+        assert!(timeless(&baked) == first && std::fs::read(&cache).unwrap() == whole);
+    }
+
+    assert_eq!(bake(&["--padding", "3"]).stage("propagate").0, "reused", "the light does not know the atlas");
+    assert_eq!(bake(&["--bounces", "3"]).stage("propagate").0, "ran");
+}
+
+#[test]
+fn a_scene_without_light_is_black_and_says_how_to_light_it() {
+    let folder = folder(&["cornell.glb"]);
+    let run = quick(&["bake", "cornell.glb", "--emissive-scale", "0"], folder.path()).ended(0);
+    assert!(run.stderr.contains("--sky"), "{}", run.stderr);
+    let outputs = Outputs::read(&folder.path().join("baked"), "cornell");
+    assert!(outputs.lightmaps[0].irradiance().iter().all(|e| *e == glam::Vec3::ZERO));
+    assert_eq!(outputs.stage("propagate").0, "left out");
+}
+
+#[test]
+fn the_output_can_be_baked_again() {
+    let folder = folder(&["cornell.glb"]);
+    quick(&["bake", "cornell.glb"], folder.path()).ended(0);
+    std::fs::copy(folder.path().join("baked/cornell.glb"), folder.path().join("second.glb")).unwrap();
+    quick(&["bake", "second.glb"], folder.path()).ended(0);
+    let [first, second] = ["cornell", "second"].map(|s| Outputs::read(&folder.path().join("baked"), s));
+    assert_eq!(first.scene.triangle_count(), second.scene.triangle_count());
+    assert!(second.warnings("unwrapped-anew").is_empty(), "{:?}", second.warnings("unwrapped-anew"));
+    let d = difference(&first, &second, 1.0, 2000);
+    assert!(d.rmse < 0.05 && d.bias.abs() < 0.02, "{d:?}");
+}
