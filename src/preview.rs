@@ -83,8 +83,8 @@ impl Preview<'_> {
         sum / cells as f32
     }
 
-    /// Radiance along a ray, and the distance of the first visible surface in frame units.
-    fn radiance(&self, eye: Vec3, direction: Vec3) -> (Rgb, Option<f32>) {
+    /// Radiance along a ray, and the first visible surface: its distance in frame units and its normal.
+    fn radiance(&self, eye: Vec3, direction: Vec3) -> (Rgb, Option<(f32, Vec3)>) {
         let geometry = self.rays.geometry;
         let (mut origin, mut travelled) = (eye, 0.0);
         let (mut light, mut pass) = (Rgb::ZERO, Rgb::ONE);
@@ -95,9 +95,9 @@ impl Preview<'_> {
             };
             travelled += hit.distance;
             if !hit.back || geometry.material(hit.triangle).double_sided {
-                first.get_or_insert(travelled);
                 let surface = geometry.surface(hit.triangle, hit.u, hit.v, 0.0);
                 let triangle = &geometry.triangles[hit.triangle as usize];
+                first.get_or_insert((travelled, triangle.normal));
                 let e = (self.irradiance)(triangle.instance, triangle.index, hit.u, hit.v).unwrap_or(self.mean);
                 let leaving = surface.emission + surface.albedo * e / std::f32::consts::PI;
                 light += pass * surface.coverage * leaving;
@@ -145,15 +145,17 @@ impl Preview<'_> {
         let [across, down] = PROBE;
         let mut seen = 0.0;
         let mut depths = Vec::new();
+        let mut normals = DVec3::ZERO;
         for i in 0..across * down {
             let s = ((i % across) as f32 + 0.5) / across as f32 * 2.0 - 1.0;
             let t = 1.0 - ((i / across) as f32 + 0.5) / down as f32 * 2.0;
-            let (light, Some(distance)) = self.radiance(lens.eye, lens.direction(s, t)) else { continue };
+            let (light, Some((distance, normal))) = self.radiance(lens.eye, lens.direction(s, t)) else { continue };
             let bright = f64::from(light.max_element());
             // A wall right before the eye counts little, a lit surface more than a dark one.
             let room = (f64::from(distance) / (0.1 * reach)).min(1.0);
             seen += room * (0.25 + 0.75 * bright / (bright + typical));
             depths.push(f64::from(distance) / reach);
+            normals += normal.as_dvec3();
         }
         let n = depths.len() as f64;
         if n == 0.0 {
@@ -161,7 +163,9 @@ impl Preview<'_> {
         }
         let mean = depths.iter().sum::<f64>() / n;
         let spread = (depths.iter().map(|d| (d - mean) * (d - mean)).sum::<f64>() / n).sqrt();
-        seen / f64::from(across * down) * (0.5 + spread.min(0.25))
+        // 0 before a single wall, ½ before two at a right angle.
+        let variety = 1.0 - (normals / n).length_squared();
+        seen / f64::from(across * down) * (0.25 + spread.min(0.25) + variety)
     }
 }
 

@@ -7,7 +7,7 @@ use std::path::Path;
 use std::time::{Duration, Instant};
 
 use glam::{DAffine3, DMat3, DVec3, Vec3};
-use luxel::settings::{Preset, Resolved, Settings, value::*};
+use luxel::settings::{Preset, Settings, resolve, value::*};
 use luxel::{Error, Request, bake, bake_scene, plan_file};
 use luxel_export::OutputSet;
 use luxel_scene::{Instance, LightKind, Material, Mesh, Scene, Silent, Sky, build::Builder};
@@ -32,7 +32,7 @@ fn tiny() -> Settings {
 
 /// Bakes a file as the binary does, within this process.
 fn bake_file(path: &Path) -> Result<(), Error> {
-    let mut settings = Resolved::default();
+    let mut settings = resolve(&[]).unwrap();
     settings.settings = tiny();
     let outputs = OutputSet::new(path, None, None).unwrap();
     let baked = bake(&Request { scene: path.into(), outputs, settings, worker: None }, &Silent)?;
