@@ -3,12 +3,15 @@
 //! Receivers are made from texels when they are needed, a block at a time, so that a texel costs its results only:
 //! irradiance direct and indirect, bound, and whether it is buried.
 
-use luxel_atlas::{Atlas, Texel};
+use luxel_atlas::{Atlas, Chart, Texel};
 use luxel_scene::Progress;
 use luxel_transport::{
     Rgb,
     direct::{Direct, DirectSettings},
-    gather::{Field, FinalGather, Gather, Gathered, Lightcuts, Lookup, Receiver, lightcuts},
+    gather::{
+        Field, FinalGather, Gather, Gathered, Lightcuts, Lookup, Receiver, lightcuts,
+        nodes::{Cell, NodeSettings, interpolate},
+    },
     geometry::Geometry,
     rays::Rays,
     sampling::combine,
@@ -61,6 +64,7 @@ impl TexelLight {
 struct Side<'a> {
     geometry: &'a Geometry<'a>,
     texels: &'a [Texel],
+    charts: &'a [Chart],
     /// Which texels, in rising order; none: all.
     some: Option<Vec<u32>>,
     back: bool,
@@ -72,7 +76,15 @@ struct Side<'a> {
 impl<'a> Side<'a> {
     fn front(geometry: &'a Geometry<'a>, atlas: &'a Atlas) -> Self {
         let light = TexelLight::dark(atlas.texels.len());
-        Self { geometry, texels: &atlas.texels, some: None, back: false, moved: Vec::new(), light }
+        Self {
+            geometry,
+            texels: &atlas.texels,
+            charts: &atlas.charts,
+            some: None,
+            back: false,
+            moved: Vec::new(),
+            light,
+        }
     }
 
     /// The backs of double-sided surfaces.
@@ -81,11 +93,23 @@ impl<'a> Side<'a> {
         let numbered = (0u32..).zip(&atlas.texels);
         let some: Vec<u32> = numbered.filter(|(_, t)| is_double(t)).map(|(i, _)| i).collect();
         let light = TexelLight::dark(some.len());
-        Self { geometry, texels: &atlas.texels, some: Some(some), back: true, moved: Vec::new(), light }
+        Self {
+            geometry,
+            texels: &atlas.texels,
+            charts: &atlas.charts,
+            some: Some(some),
+            back: true,
+            moved: Vec::new(),
+            light,
+        }
     }
 
     fn len(&self) -> usize {
         self.light.direct.len()
+    }
+
+    fn texel(&self, at: usize) -> &'a Texel {
+        &self.texels[self.some.as_ref().map_or(at, |some| some[at] as usize)]
     }
 
     fn receiver(&self, at: usize) -> Receiver {
@@ -96,7 +120,7 @@ impl<'a> Side<'a> {
     }
 
     fn original(&self, at: usize) -> Receiver {
-        let t = &self.texels[self.some.as_ref().map_or(at, |some| some[at] as usize)];
+        let t = self.texel(at);
         let triangle = self.geometry.triangle(t.instance, t.triangle);
         let footprint = self.geometry.frame.length(f64::from(t.footprint));
         let front = Receiver::on_triangle(self.geometry, triangle, t.u, t.v, footprint, t.seed);
@@ -130,22 +154,55 @@ impl<'a> Side<'a> {
         Ok(())
     }
 
-    /// Gathers at every receiver, block by block, and hands each result to `put` with its index.
+    /// Gathers at every receiver that is not buried, block by block, and hands each result to `put` with its index.
+    /// With `nodes`, only some are gathered and the rest interpolated. Returns how many were gathered.
     fn gather(
         &mut self,
         gatherer: &dyn Gather,
+        nodes: Option<NodeSettings>,
         progress: &dyn Progress,
         mut put: impl FnMut(&mut TexelLight, usize, &Gathered),
-    ) -> Result<(), Error> {
-        let mut receivers = Vec::with_capacity(BLOCK.min(self.len()));
-        for first in (0..self.len()).step_by(BLOCK) {
-            receivers.clear();
-            receivers.extend((first..self.len().min(first + BLOCK)).map(|i| self.receiver(i)));
-            for (i, gathered) in (first..).zip(gatherer.gather(&receivers, progress)?) {
-                put(&mut self.light, i, &gathered);
+    ) -> Result<u64, Error> {
+        let mut gathered = 0;
+        let mut first = 0;
+        while first < self.len() {
+            let end = self.block_end(first);
+            let open: Vec<usize> = (first..end).filter(|i| !self.light.buried[*i]).collect();
+            let receivers: Vec<Receiver> = open.iter().map(|i| self.receiver(*i)).collect();
+            let light = match nodes {
+                None => {
+                    gathered += receivers.len() as u64;
+                    gatherer.gather(&receivers, progress)?
+                }
+                Some(how) => {
+                    let cells: Vec<Cell> = open.iter().map(|i| self.cell(*i)).collect();
+                    let found = interpolate(gatherer, how, &receivers, &cells, progress)?;
+                    gathered += found.nodes as u64;
+                    found.light
+                }
+            };
+            for (i, g) in open.iter().zip(&light) {
+                put(&mut self.light, *i, g);
             }
+            progress.advance((end - first - open.len()) as u64);
+            first = end;
         }
-        Ok(())
+        Ok(gathered)
+    }
+
+    /// The end of a block: at least [`BLOCK`] texels, and whole charts.
+    fn block_end(&self, first: usize) -> usize {
+        let mut end = self.len().min(first + BLOCK);
+        while end < self.len() && self.texel(end).chart == self.texel(end - 1).chart {
+            end += 1;
+        }
+        end
+    }
+
+    fn cell(&self, at: usize) -> Cell {
+        let t = self.texel(at);
+        let chart = &self.charts[t.chart as usize];
+        Cell { chart: t.chart, x: u32::from(t.x) - chart.x, y: u32::from(t.y) - chart.y }
     }
 }
 
@@ -176,24 +233,26 @@ pub fn run(
 
     journal.run(plan, Stage::Direct, Some(work), |progress, counters| {
         let direct = Direct::new(rays, &transport.emitters, direct_settings(settings));
-        gather(&mut sides, &direct, Part::Direct, progress, counters)
+        gather(&mut sides, &direct, Part::Direct, None, progress, counters)
     })?;
     journal.run(plan, Stage::Sky, Some(work), |progress, counters| {
         let sky = SkyLight::new(rays, SkySettings { rays: settings.sky_rays.0, ..SkySettings::default() });
-        gather(&mut sides, &sky, Part::Sky, progress, counters)
+        gather(&mut sides, &sky, Part::Sky, None, progress, counters)
     })?;
     journal.run(plan, Stage::Gather, Some(work), |progress, counters| {
         let Some((surfels, solution)) = &transport.surfels else { return Ok(()) };
         let field = Field::new(rays, surfels, solution)?;
+        let stride = settings.node_spacing.0;
+        let nodes = (stride > 1).then(|| NodeSettings { stride, ..NodeSettings::default() });
         match settings.gather_mode() {
-            GatherMode::Lookup => gather(&mut sides, &Lookup::new(&field), Part::Bounced, progress, counters),
+            GatherMode::Lookup => gather(&mut sides, &Lookup::new(&field), Part::Bounced, None, progress, counters),
             GatherMode::Final => {
                 let gatherer = FinalGather::new(&field, settings.gather_rays.0);
-                gather(&mut sides, &gatherer, Part::Bounced, progress, counters)
+                gather(&mut sides, &gatherer, Part::Bounced, nodes, progress, counters)
             }
             GatherMode::Lightcuts | GatherMode::Auto => {
                 let gatherer = Lightcuts::new(&field, lightcut_settings(settings));
-                gather(&mut sides, &gatherer, Part::Bounced, progress, counters)
+                gather(&mut sides, &gatherer, Part::Bounced, nodes, progress, counters)
             }
         }
     })?;
@@ -232,12 +291,13 @@ fn gather(
     sides: &mut [Side],
     gatherer: &dyn Gather,
     part: Part,
+    nodes: Option<NodeSettings>,
     progress: &dyn Progress,
     counters: &mut Counters,
 ) -> Result<(), Error> {
-    let (mut rays, mut cut, mut longest, mut texels) = (0u64, 0u64, 0u32, 0u64);
+    let (mut rays, mut cut, mut longest, mut gathered) = (0u64, 0u64, 0u32, 0u64);
     for side in sides {
-        side.gather(gatherer, progress, |light, i, g| {
+        gathered += side.gather(gatherer, nodes, progress, |light, i, g| {
             match part {
                 Part::Direct => light.direct[i] += g.irradiance,
                 Part::Sky | Part::Bounced => light.indirect[i] += g.irradiance,
@@ -245,13 +305,12 @@ fn gather(
             if part == Part::Bounced {
                 light.bound[i] += g.bound;
             }
-            texels += 1;
             rays += u64::from(g.rays);
             cut += u64::from(g.cut);
             longest = longest.max(g.cut);
         })?;
     }
-    counters.insert("texels".into(), texels);
+    counters.insert("gathered_texels".into(), gathered);
     counters.insert("continuous_rays".into(), rays);
     if cut > 0 {
         counters.insert("clusters".into(), cut);

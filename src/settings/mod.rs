@@ -138,6 +138,9 @@ settings! {
         ["count"] near_rays: Samples = Samples(16);
         /// Rays per texel of the mode final.
         ["count"] gather_rays: Samples = Samples(256);
+        /// Texels between the nodes at which indirect light is gathered before it is interpolated, finer where it
+        /// changes; 1 gathers at every texel. The stated bound of what is interpolated is an estimate.
+        ["texels"] node_spacing: Spacing = Spacing(4);
         /// Samples on every lamp and emissive polygon: the smoothness of penumbrae.
         ["count"] shadow_samples: Samples = Samples(64);
         /// Rays per texel towards the sky.
@@ -180,6 +183,7 @@ impl Settings {
                 gather_rays: Samples(1024),
                 shadow_samples: Samples(256),
                 sky_rays: Samples(1024),
+                node_spacing: Spacing(1),
                 ..medium
             },
         }

@@ -43,6 +43,7 @@ macro_rules! number {
 number!(Texels, u32, 16, 16384, "a whole number of texels from 16 to 16384");
 number!(Padding, u32, 2, 64, "a whole number of texels from 2 to 64");
 number!(Count, u32, 0, 10_000_000, "a whole number from 0 to 10000000");
+number!(Spacing, u32, 1, 64, "a whole number of texels from 1 to 64");
 number!(Threads, u32, 0, 1024, "a whole number from 0 to 1024");
 number!(Samples, u32, 1, 65536, "a whole number from 1 to 65536");
 number!(Factor, f32, 0.0, 1e30, "a number from 0 upwards");
