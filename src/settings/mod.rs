@@ -42,6 +42,11 @@ impl Field {
         self.name.replace('_', "-")
     }
 
+    /// Sets the value from its written form; false where that says nothing.
+    pub fn assign(&self, settings: &mut Settings, text: &str) -> bool {
+        (self.set)(settings, text)
+    }
+
     pub fn find(name: &str) -> Option<&'static Field> {
         FIELDS.iter().find(|f| f.name == name)
     }

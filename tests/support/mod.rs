@@ -16,6 +16,7 @@ use luxel_transport::{
     rays::Rays,
     reference::{Estimate, Options, Reference},
     sampling::{mix, unit},
+    validity,
 };
 
 /// The preset `medium` on one atlas of 512².
@@ -64,9 +65,7 @@ pub fn some_texels(lit: &Lit, count: usize, wanted: impl Fn(usize) -> bool) -> V
     let all: Vec<usize> = (0..lit.atlas.texels.len()).filter(|&i| is_valid(lit, i) && wanted(i)).collect();
     let stride = (all.len() as f64 / count as f64).max(1.0);
     let steps = (all.len() as f64 / stride) as usize;
-    (0..steps)
-        .map(|k| all[((k as f64 + f64::from(unit(mix(k as u64)))) * stride) as usize % all.len()])
-        .collect()
+    (0..steps).map(|k| all[((k as f64 + f64::from(unit(mix(k as u64)))) * stride) as usize % all.len()]).collect()
 }
 
 /// World position of a texel.
@@ -77,19 +76,19 @@ pub fn position(scene: &Scene, lit: &Lit, texel: usize) -> DVec3 {
     instance.transform.transform_point3((a + (b - a) * t.u + (c - a) * t.v).as_dvec3())
 }
 
+/// A texel as a receiver, at its own point.
+fn receiver(geometry: &Geometry, lit: &Lit, texel: usize) -> Receiver {
+    let t = &lit.atlas.texels[texel];
+    let triangle = geometry.triangle(t.instance, t.triangle);
+    let footprint = geometry.frame.length(f64::from(t.footprint));
+    Receiver::on_triangle(geometry, triangle, t.u, t.v, footprint, t.seed)
+}
+
 /// Reference irradiance at texels, each with its own standard error.
 pub fn reference(scene: &Scene, lit: &Lit, texels: &[usize], paths: u32) -> Vec<Estimate> {
     let geometry = Geometry::new(scene);
     let rays = Rays::new(&geometry);
-    let receivers: Vec<Receiver> = texels
-        .iter()
-        .map(|&i| {
-            let t = &lit.atlas.texels[i];
-            let triangle = geometry.triangle(t.instance, t.triangle);
-            let footprint = geometry.frame.length(f64::from(t.footprint));
-            Receiver::on_triangle(&geometry, triangle, t.u, t.v, footprint, t.seed)
-        })
-        .collect();
+    let receivers: Vec<Receiver> = texels.iter().map(|&i| receiver(&geometry, lit, i)).collect();
     Reference::new(&rays, Options::default()).irradiances(&receivers, paths, &Silent).expect("not cancelled")
 }
 
@@ -116,9 +115,8 @@ pub fn score(values: &[Vec3], truth: &[Vec3], noise: &[f32], weights: &[f64]) ->
     let y = |v: Vec3| f64::from(v.element_sum()) / 3.0;
     let mean = over(&|i| y(truth[i]));
     let square = over(&|i| (values[i] - truth[i]).as_dvec3().length_squared() / 3.0);
-    let mut relative: Vec<f64> = (0..values.len())
-        .map(|i| (y(values[i]) - y(truth[i])).abs() / y(truth[i]).max(0.01 * mean))
-        .collect();
+    let mut relative: Vec<f64> =
+        (0..values.len()).map(|i| (y(values[i]) - y(truth[i])).abs() / y(truth[i]).max(0.01 * mean)).collect();
     relative.sort_by(f64::total_cmp);
     let percentile = |q: f64| relative[((relative.len() - 1) as f64 * q) as usize];
     Score {
@@ -132,8 +130,13 @@ pub fn score(values: &[Vec3], truth: &[Vec3], noise: &[f32], weights: &[f64]) ->
     }
 }
 
-/// The score of a bake at some of its texels.
+/// The score of a bake at some of its texels. Texels whose point lies inside other geometry do not count (the bake gave
+/// them the light of the nearest free point).
 pub fn score_texels(scene: &Scene, lit: &Lit, texels: &[usize], paths: u32) -> Score {
+    let geometry = Geometry::new(scene);
+    let rays = Rays::new(&geometry);
+    let is_free = |i: &usize| !validity::is_buried(&rays, &receiver(&geometry, lit, *i));
+    let texels: &Vec<usize> = &texels.iter().copied().filter(is_free).collect();
     let estimates = reference(scene, lit, texels, paths);
     let values: Vec<Vec3> = texels.iter().map(|&i| value(lit, i)).collect();
     let truth: Vec<Vec3> = estimates.iter().map(|e| e.total).collect();
