@@ -149,7 +149,7 @@ settings! {
         /// Samples on every lamp and emissive polygon: the smoothness of penumbrae.
         ["count"] shadow_samples: Samples = Samples(64);
         /// Rays per texel towards the sky.
-        ["count"] sky_rays: Samples = Samples(256);
+        ["count"] sky_rays: Samples = Samples(2048);
     }
     "Machine" {
         /// Threads to work with; 0 takes all cores. The result has the same bytes whatever their number.
@@ -173,7 +173,7 @@ impl Settings {
                 near_rays: Samples(8),
                 gather_rays: Samples(64),
                 shadow_samples: Samples(16),
-                sky_rays: Samples(64),
+                sky_rays: Samples(256),
                 ..medium
             },
             Preset::Final => Self {
@@ -187,7 +187,7 @@ impl Settings {
                 near_rays: Samples(32),
                 gather_rays: Samples(1024),
                 shadow_samples: Samples(256),
-                sky_rays: Samples(1024),
+                sky_rays: Samples(2048),
                 node_spacing: Spacing(1),
                 ..medium
             },
