@@ -172,3 +172,35 @@ pub fn tilted(scene: Scene) -> Scene {
     let turn = DAffine3::from_rotation_y(angle) * DAffine3::from_rotation_x(angle);
     luxel_scene::build::transformed(scene, turn)
 }
+
+/// The preset `medium` on one atlas of the given side.
+pub fn medium(side: u32) -> Settings {
+    Settings { size: Texels(side), ..Settings::preset(Preset::Medium) }
+}
+
+/// All texels that count.
+pub fn valid_texels(lit: &Lit, wanted: impl Fn(usize) -> bool) -> Vec<usize> {
+    (0..lit.atlas.texels.len()).filter(|&i| is_valid(lit, i) && wanted(i)).collect()
+}
+
+/// The error of a bake at some of its texels against a closed form, the same in all bands: score, and the largest
+/// relative error of any band of any texel with the world point where it is.
+pub fn score_closed_form(
+    scene: &Scene,
+    lit: &Lit,
+    texels: &[usize],
+    truth: impl Fn(DVec3) -> f64,
+) -> (Score, f64, DVec3) {
+    let exact: Vec<f64> = texels.iter().map(|&i| truth(position(scene, lit, i))).collect();
+    let values: Vec<Vec3> = texels.iter().map(|&i| value(lit, i)).collect();
+    let (mut worst, mut place) = (0.0, DVec3::ZERO);
+    for ((&i, value), exact) in texels.iter().zip(&values).zip(&exact) {
+        let error = (value.as_dvec3() - *exact).abs().max_element() / exact;
+        // A value that is not a number is the worst of all.
+        if error > worst || error.is_nan() {
+            (worst, place) = (if error.is_nan() { f64::INFINITY } else { error }, position(scene, lit, i));
+        }
+    }
+    let truth: Vec<Vec3> = exact.iter().map(|e| Vec3::splat(*e as f32)).collect();
+    (score(&values, &truth, &vec![0.0; texels.len()], &areas(lit, texels)), worst, place)
+}
