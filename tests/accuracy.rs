@@ -7,7 +7,7 @@ use support::*;
 
 /// Texels per scene and paths per texel of the reference.
 const TEXELS: usize = 400;
-const PATHS: u32 = 4096;
+const PATHS: u32 = 8192;
 
 fn assert_accurate(name: &str, scene: &Scene) {
     let settings = medium_512();

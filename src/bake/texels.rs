@@ -14,7 +14,7 @@ use luxel_transport::{
     geometry::Geometry,
     rays::Rays,
     sampling::combine,
-    sky_light::{SkyLight, SkySettings},
+    sky_light::{self, SkyLight, SkySettings},
     validity,
 };
 use rayon::prelude::*;
@@ -221,6 +221,8 @@ pub fn run(
         sides.push(Side::back(geometry, atlas));
     }
     let work = sides.iter().map(|s| s.len() as u64).sum();
+    let stride = settings.node_spacing.0;
+    let nodes = (stride > 1).then(|| NodeSettings { stride, ..NodeSettings::default() });
     journal.run(plan, Stage::Clear, Some(work), |progress, counters| {
         for side in &mut sides {
             side.clear(rays, progress)?;
@@ -238,13 +240,14 @@ pub fn run(
     })?;
     journal.run(plan, Stage::Sky, Some(work), |progress, counters| {
         let sky = SkyLight::new(rays, SkySettings { rays: settings.sky_rays.0, ..SkySettings::default() });
-        gather(&mut sides, &sky, Part::Sky, None, progress, counters)
+        if sky.has_spots() {
+            gather(&mut sides, &sky_light::Bright(&sky), Part::Sky, None, progress, counters)?;
+        }
+        gather(&mut sides, &sky_light::Smooth(&sky), Part::Sky, nodes, progress, counters)
     })?;
     journal.run(plan, Stage::Gather, Some(work), |progress, counters| {
         let Some((surfels, solution)) = &transport.surfels else { return Ok(()) };
         let field = Field::new(rays, surfels, solution)?;
-        let stride = settings.node_spacing.0;
-        let nodes = (stride > 1).then(|| NodeSettings { stride, ..NodeSettings::default() });
         match settings.gather_mode() {
             GatherMode::Lookup => gather(&mut sides, &Lookup::new(&field), Part::Bounced, None, progress, counters),
             GatherMode::Final => {
@@ -307,8 +310,8 @@ fn gather(
             longest = longest.max(g.cut);
         })?;
     }
-    counters.insert("gathered_texels".into(), gathered);
-    counters.insert("continuous_rays".into(), rays);
+    *counters.entry("gathered_texels".into()).or_default() += gathered;
+    *counters.entry("continuous_rays".into()).or_default() += rays;
     if cut > 0 {
         counters.insert("clusters".into(), cut);
         counters.insert("longest_cut".into(), u64::from(longest));

@@ -42,6 +42,11 @@ impl Field {
         self.name.replace('_', "-")
     }
 
+    /// Sets the value from its written form; false where that says nothing.
+    pub fn assign(&self, settings: &mut Settings, text: &str) -> bool {
+        (self.set)(settings, text)
+    }
+
     pub fn find(name: &str) -> Option<&'static Field> {
         FIELDS.iter().find(|f| f.name == name)
     }
@@ -144,7 +149,7 @@ settings! {
         /// Samples on every lamp and emissive polygon: the smoothness of penumbrae.
         ["count"] shadow_samples: Samples = Samples(64);
         /// Rays per texel towards the sky.
-        ["count"] sky_rays: Samples = Samples(256);
+        ["count"] sky_rays: Samples = Samples(2048);
     }
     "Machine" {
         /// Threads to work with; 0 takes all cores. The result has the same bytes whatever their number.
@@ -168,7 +173,7 @@ impl Settings {
                 near_rays: Samples(8),
                 gather_rays: Samples(64),
                 shadow_samples: Samples(16),
-                sky_rays: Samples(64),
+                sky_rays: Samples(256),
                 ..medium
             },
             Preset::Final => Self {
@@ -182,7 +187,7 @@ impl Settings {
                 near_rays: Samples(32),
                 gather_rays: Samples(1024),
                 shadow_samples: Samples(256),
-                sky_rays: Samples(1024),
+                sky_rays: Samples(2048),
                 node_spacing: Spacing(1),
                 ..medium
             },

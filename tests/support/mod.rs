@@ -16,6 +16,7 @@ use luxel_transport::{
     rays::Rays,
     reference::{Estimate, Options, Reference},
     sampling::{mix, unit},
+    validity,
 };
 
 /// The preset `medium` on one atlas of 512².
@@ -75,19 +76,19 @@ pub fn position(scene: &Scene, lit: &Lit, texel: usize) -> DVec3 {
     instance.transform.transform_point3((a + (b - a) * t.u + (c - a) * t.v).as_dvec3())
 }
 
+/// A texel as a receiver, at its own point.
+fn receiver(geometry: &Geometry, lit: &Lit, texel: usize) -> Receiver {
+    let t = &lit.atlas.texels[texel];
+    let triangle = geometry.triangle(t.instance, t.triangle);
+    let footprint = geometry.frame.length(f64::from(t.footprint));
+    Receiver::on_triangle(geometry, triangle, t.u, t.v, footprint, t.seed)
+}
+
 /// Reference irradiance at texels, each with its own standard error.
 pub fn reference(scene: &Scene, lit: &Lit, texels: &[usize], paths: u32) -> Vec<Estimate> {
     let geometry = Geometry::new(scene);
     let rays = Rays::new(&geometry);
-    let receivers: Vec<Receiver> = texels
-        .iter()
-        .map(|&i| {
-            let t = &lit.atlas.texels[i];
-            let triangle = geometry.triangle(t.instance, t.triangle);
-            let footprint = geometry.frame.length(f64::from(t.footprint));
-            Receiver::on_triangle(&geometry, triangle, t.u, t.v, footprint, t.seed)
-        })
-        .collect();
+    let receivers: Vec<Receiver> = texels.iter().map(|&i| receiver(&geometry, lit, i)).collect();
     Reference::new(&rays, Options::default()).irradiances(&receivers, paths, &Silent).expect("not cancelled")
 }
 
@@ -129,8 +130,13 @@ pub fn score(values: &[Vec3], truth: &[Vec3], noise: &[f32], weights: &[f64]) ->
     }
 }
 
-/// The score of a bake at some of its texels.
+/// The score of a bake at some of its texels. Texels whose point lies inside other geometry do not count (the bake gave
+/// them the light of the nearest free point).
 pub fn score_texels(scene: &Scene, lit: &Lit, texels: &[usize], paths: u32) -> Score {
+    let geometry = Geometry::new(scene);
+    let rays = Rays::new(&geometry);
+    let is_free = |i: &usize| !validity::is_buried(&rays, &receiver(&geometry, lit, *i));
+    let texels: &Vec<usize> = &texels.iter().copied().filter(is_free).collect();
     let estimates = reference(scene, lit, texels, paths);
     let values: Vec<Vec3> = texels.iter().map(|&i| value(lit, i)).collect();
     let truth: Vec<Vec3> = estimates.iter().map(|e| e.total).collect();
@@ -165,4 +171,36 @@ pub fn tilted(scene: Scene) -> Scene {
     let angle = 30f64.to_radians();
     let turn = DAffine3::from_rotation_y(angle) * DAffine3::from_rotation_x(angle);
     luxel_scene::build::transformed(scene, turn)
+}
+
+/// The preset `medium` on one atlas of the given side.
+pub fn medium(side: u32) -> Settings {
+    Settings { size: Texels(side), ..Settings::preset(Preset::Medium) }
+}
+
+/// All texels that count.
+pub fn valid_texels(lit: &Lit, wanted: impl Fn(usize) -> bool) -> Vec<usize> {
+    (0..lit.atlas.texels.len()).filter(|&i| is_valid(lit, i) && wanted(i)).collect()
+}
+
+/// The error of a bake at some of its texels against a closed form, the same in all bands: score, and the largest
+/// relative error of any band of any texel with the world point where it is.
+pub fn score_closed_form(
+    scene: &Scene,
+    lit: &Lit,
+    texels: &[usize],
+    truth: impl Fn(DVec3) -> f64,
+) -> (Score, f64, DVec3) {
+    let exact: Vec<f64> = texels.iter().map(|&i| truth(position(scene, lit, i))).collect();
+    let values: Vec<Vec3> = texels.iter().map(|&i| value(lit, i)).collect();
+    let (mut worst, mut place) = (0.0, DVec3::ZERO);
+    for ((&i, value), exact) in texels.iter().zip(&values).zip(&exact) {
+        let error = (value.as_dvec3() - *exact).abs().max_element() / exact;
+        // A value that is not a number is the worst of all.
+        if error > worst || error.is_nan() {
+            (worst, place) = (if error.is_nan() { f64::INFINITY } else { error }, position(scene, lit, i));
+        }
+    }
+    let truth: Vec<Vec3> = exact.iter().map(|e| Vec3::splat(*e as f32)).collect();
+    (score(&values, &truth, &vec![0.0; texels.len()], &areas(lit, texels)), worst, place)
 }

@@ -101,10 +101,10 @@ fn window(b: &mut Builder, m: &Materials) {
     // In the middle of the wall; z runs from 0.9 to 2.1.
     let (up, across) = (Vec3::Y * 1.1, Vec3::NEG_Z * 0.6);
     let mut pane = Quads::default();
-    pane.push(Vec3::new(-0.1, 0.9, 2.1), across, up, 1.0);
+    pane.push(Vec3::new(-0.107, 0.9, 2.1), across, up, 1.0);
     b.add(pane.mesh("pane", m.glass));
     let mut bars = Quads::default();
-    bars.push(Vec3::new(-0.1, 0.9, 1.5), across, up, 4.0);
+    bars.push(Vec3::new(-0.107, 0.9, 1.5), across, up, 4.0);
     b.add(bars.mesh("grating", m.grating));
 }
 

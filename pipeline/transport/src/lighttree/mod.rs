@@ -154,9 +154,10 @@ fn left_count(count: usize) -> usize {
     count / 2
 }
 
-/// What a surfel is, wherever it stands in the list: its voxel and its orientation.
+/// What a surfel is, wherever it stands in the list: its voxel and its orientation. The normal counts in steps coarse
+/// enough that rounding, which differs between copies of a scene at other places and scales, decides next to nothing.
 pub fn identity(surfel: &Surfel) -> u64 {
-    let voxel = surfel.voxel.to_array().map(|v| v as u32);
-    let normal = surfel.normal.to_array().map(f32::to_bits);
-    voxel.into_iter().chain(normal).fold(0, |seed, word| combine(seed, u64::from(word)))
+    let normal = (surfel.normal * 64.0).round().as_ivec3();
+    let words = surfel.voxel.to_array().into_iter().chain(normal.to_array());
+    words.fold(0, |seed, word| combine(seed, u64::from(word as u32)))
 }

@@ -27,25 +27,45 @@ pub fn exact(
     points: u32,
     progress: &dyn Progress,
 ) -> Result<Shot, Cancelled> {
-    let mut shot = Shot { irradiance: Vec::with_capacity(surfels.list.len()), ..Shot::default() };
-    for batch in surfels.list.chunks(BATCH) {
+    let mut shot = Shot { irradiance: vec![Rgb::ZERO; surfels.list.len()], ..Shot::default() };
+    for batch in by_place(surfels).chunks(BATCH) {
         let mut receivers = Vec::with_capacity(batch.len());
         let mut ends = Vec::with_capacity(batch.len());
-        for surfel in batch {
-            push_receivers(geometry, &surfels.grid, surfel, points, &mut receivers);
+        for &i in batch {
+            push_receivers(geometry, &surfels.grid, &surfels.list[i as usize], points, &mut receivers);
             ends.push(receivers.len());
         }
         let gathered = light.gather(&receivers, progress)?;
         let mut start = 0;
-        for end in ends {
+        for (&i, end) in batch.iter().zip(ends) {
             let own = &gathered[start..end];
             let sum: Rgb = own.iter().map(|g| g.irradiance).sum();
-            shot.irradiance.push(sum / (end - start).max(1) as f32);
+            shot.irradiance[i as usize] = sum / (end - start).max(1) as f32;
             shot.rays += own.iter().map(|g| u64::from(g.rays)).sum::<u64>();
             start = end;
         }
     }
     Ok(shot)
+}
+
+/// The surfels in an order in which neighbours lie close together and face one way, so that one shaft serves many:
+/// by dominant axis and sense of the normal, then along the Morton curve of their voxels.
+fn by_place(surfels: &Surfels) -> Vec<u32> {
+    let key = |i: &u32| {
+        let surfel = &surfels.list[*i as usize];
+        let axis = surfel.normal.abs().max_position() as u64;
+        let sense = u64::from(surfel.normal[axis as usize] < 0.0);
+        let [x, y, z] = surfel.voxel.to_array().map(|c| spread(c as u64));
+        ((2 * axis + sense) << 60) | (x << 2) | (y << 1) | z
+    };
+    let mut order: Vec<u32> = (0..surfels.list.len() as u32).collect();
+    order.sort_by_cached_key(key);
+    order
+}
+
+/// Puts two zero bits between the lowest 19 bits of a coordinate.
+fn spread(c: u64) -> u64 {
+    (0..19).map(|bit| (c >> bit & 1) << (3 * bit)).sum()
 }
 
 /// The surfel's own point, and its neighbours where they lie on the same triangle and in the same voxel.

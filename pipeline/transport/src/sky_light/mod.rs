@@ -61,6 +61,11 @@ impl<'a> SkyLight<'a> {
         Self { rays, sky, spots, settings, generator: generator(settings.rays) }
     }
 
+    /// The sky has bright spots that are gathered by themselves.
+    pub fn has_spots(&self) -> bool {
+        self.spots.is_some()
+    }
+
     /// Irradiance at one receiver, and rays spent.
     pub fn irradiance(&self, r: &Receiver) -> (Rgb, u32) {
         if self.sky.is_dark() {
@@ -121,18 +126,44 @@ impl<'a> SkyLight<'a> {
 
 impl Gather for SkyLight<'_> {
     fn gather(&self, receivers: &[Receiver], progress: &dyn Progress) -> Result<Vec<Gathered>, Cancelled> {
-        let chunks = receivers.par_chunks(CHUNK).map(|chunk| {
-            progress.check()?;
-            let gathered = chunk.iter().map(|r| {
-                let (irradiance, rays) = self.irradiance(r);
-                Gathered { irradiance, rays, ..Gathered::default() }
-            });
-            let gathered: Vec<_> = gathered.collect();
-            progress.advance(chunk.len() as u64);
-            Ok(gathered)
-        });
-        Ok(chunks.collect::<Result<Vec<_>, Cancelled>>()?.into_iter().flatten().collect())
+        gather(receivers, progress, |r| self.irradiance(r))
     }
+}
+
+/// The smooth part of a sky: it varies slowly over surfaces, so that it may be gathered at nodes.
+pub struct Smooth<'a>(pub &'a SkyLight<'a>);
+
+impl Gather for Smooth<'_> {
+    fn gather(&self, receivers: &[Receiver], progress: &dyn Progress) -> Result<Vec<Gathered>, Cancelled> {
+        gather(receivers, progress, |r| if self.0.sky.is_dark() { (Rgb::ZERO, 0) } else { self.0.smooth(r) })
+    }
+}
+
+/// The bright spots of a sky: they cast sharp shadows, so that they are gathered everywhere.
+pub struct Bright<'a>(pub &'a SkyLight<'a>);
+
+impl Gather for Bright<'_> {
+    fn gather(&self, receivers: &[Receiver], progress: &dyn Progress) -> Result<Vec<Gathered>, Cancelled> {
+        gather(receivers, progress, |r| self.0.spots.as_ref().map_or((Rgb::ZERO, 0), |spots| self.0.bright(spots, r)))
+    }
+}
+
+fn gather(
+    receivers: &[Receiver],
+    progress: &dyn Progress,
+    light: impl Fn(&Receiver) -> (Rgb, u32) + Sync,
+) -> Result<Vec<Gathered>, Cancelled> {
+    let chunks = receivers.par_chunks(CHUNK).map(|chunk| {
+        progress.check()?;
+        let gathered = chunk.iter().map(|r| {
+            let (irradiance, rays) = light(r);
+            Gathered { irradiance, rays, ..Gathered::default() }
+        });
+        let gathered: Vec<_> = gathered.collect();
+        progress.advance(chunk.len() as u64);
+        Ok(gathered)
+    });
+    Ok(chunks.collect::<Result<Vec<_>, Cancelled>>()?.into_iter().flatten().collect())
 }
 
 /// A generator near N divided by the golden ratio and prime to N: a lattice without long empty strips.
