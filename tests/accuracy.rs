@@ -16,7 +16,12 @@ fn assert_accurate(name: &str, scene: &Scene) {
     let s = score_texels(scene, &lit, &texels, PATHS);
     println!(
         "{name}: mean E {:.4}, RMSE {:.2} %, bias {:+.2} %, median {:.2} %, p95 {:.1} %, reference noise {:.2} %",
-        s.mean, 100.0 * s.rmse, 100.0 * s.bias, 100.0 * s.median, 100.0 * s.p95, 100.0 * s.noise
+        s.mean,
+        100.0 * s.rmse,
+        100.0 * s.bias,
+        100.0 * s.median,
+        100.0 * s.p95,
+        100.0 * s.noise
     );
     assert!(s.noise < 0.01, "the reference is too noisy to judge by: {s:?}");
     assert!(s.rmse <= 0.03, "{s:?}");

@@ -64,9 +64,7 @@ pub fn some_texels(lit: &Lit, count: usize, wanted: impl Fn(usize) -> bool) -> V
     let all: Vec<usize> = (0..lit.atlas.texels.len()).filter(|&i| is_valid(lit, i) && wanted(i)).collect();
     let stride = (all.len() as f64 / count as f64).max(1.0);
     let steps = (all.len() as f64 / stride) as usize;
-    (0..steps)
-        .map(|k| all[((k as f64 + f64::from(unit(mix(k as u64)))) * stride) as usize % all.len()])
-        .collect()
+    (0..steps).map(|k| all[((k as f64 + f64::from(unit(mix(k as u64)))) * stride) as usize % all.len()]).collect()
 }
 
 /// World position of a texel.
@@ -116,9 +114,8 @@ pub fn score(values: &[Vec3], truth: &[Vec3], noise: &[f32], weights: &[f64]) ->
     let y = |v: Vec3| f64::from(v.element_sum()) / 3.0;
     let mean = over(&|i| y(truth[i]));
     let square = over(&|i| (values[i] - truth[i]).as_dvec3().length_squared() / 3.0);
-    let mut relative: Vec<f64> = (0..values.len())
-        .map(|i| (y(values[i]) - y(truth[i])).abs() / y(truth[i]).max(0.01 * mean))
-        .collect();
+    let mut relative: Vec<f64> =
+        (0..values.len()).map(|i| (y(values[i]) - y(truth[i])).abs() / y(truth[i]).max(0.01 * mean)).collect();
     relative.sort_by(f64::total_cmp);
     let percentile = |q: f64| relative[((relative.len() - 1) as f64 * q) as usize];
     Score {
