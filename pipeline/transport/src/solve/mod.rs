@@ -22,6 +22,8 @@
 mod enclosure;
 mod stiff;
 
+use std::borrow::Cow;
+
 use luxel_scene::{Cancelled, Progress};
 
 use crate::{
@@ -174,9 +176,10 @@ pub fn solve(
         stages: Vec::new(),
         report: SolveReport::default(),
     };
-    let mut direct = direct.to_vec();
+    // Copied at the end, when the sweep's memory is free again, unless it has to be changed.
+    let mut direct = Cow::Borrowed(direct);
     if settings.emit_in_sweep {
-        bounces.add_emission(&mut direct)?;
+        bounces.add_emission(direct.to_mut())?;
     }
     let dark = bounces.radiosity(&direct).iter().all(|b| *b == Rgb::ZERO);
     let mut global_cache = vec![Rgb::ZERO; surfels.list.len()];
@@ -185,10 +188,11 @@ pub fn solve(
         bounces.measure_rows()?;
         bounces.run(&direct, &mut global_cache)?;
     }
-    let mut report = bounces.report;
-    report.ledger = Ledger::close(bounces.stages, surfels, &direct, &global_cache);
+    let Bounces { mut report, stages, sweep, .. } = bounces;
+    drop(sweep);
+    report.ledger = Ledger::close(stages, surfels, &direct, &global_cache);
     debug_assert!(global_cache.iter().all(|e| e.is_finite() && e.min_element() >= 0.0));
-    Ok((Solution { direct, indirect: global_cache }, report))
+    Ok((Solution { direct: direct.into_owned(), indirect: global_cache }, report))
 }
 
 fn check(surfels: &Surfels, direct: &[Rgb], settings: &SolveSettings, sky: Option<SkyFn>) -> Result<(), SolveError> {
@@ -253,6 +257,12 @@ impl Bounces<'_> {
         self.surfels().list.iter().zip(irradiance).map(|(s, &e)| s.albedo * e).collect()
     }
 
+    /// The same in the memory of the irradiance.
+    fn reflected(&self, mut irradiance: Vec<Rgb>) -> Vec<Rgb> {
+        self.surfels().list.iter().zip(&mut irradiance).for_each(|(s, e)| *e *= s.albedo);
+        irradiance
+    }
+
     fn apply(
         &mut self,
         directions: &[Direction],
@@ -312,10 +322,11 @@ impl Bounces<'_> {
         let brightest = self.surfels().list.iter().fold(0.0f32, |m, s| m.max(s.albedo.max_element()));
         // Keeps 1 − q away from zero, whatever the caller's albedos.
         let brightest = brightest.min(luxel_scene::material::MAX_ALBEDO);
-        let mut current_cache = direct.to_vec();
+        let mut current_cache = Vec::new();
         let mut q = f64::from(brightest);
         for bounce in 1..=self.settings.max_bounces {
-            let radiosity = self.radiosity(&current_cache);
+            let radiosity =
+                if bounce == 1 { self.radiosity(direct) } else { self.reflected(std::mem::take(&mut current_cache)) };
             let sky = if bounce == 1 { self.sky } else { None };
             if sky.is_none() && radiosity.iter().all(|b| *b == Rgb::ZERO) {
                 return Ok(());

@@ -22,6 +22,8 @@ mod kernel;
 mod lines;
 mod literal;
 
+use std::sync::Arc;
+
 use luxel_scene::{Cancelled, Progress};
 use rayon::prelude::*;
 
@@ -52,7 +54,7 @@ pub type SkyFn<'a> = &'a (dyn Fn(glam::Vec3) -> Rgb + Sync);
 pub struct Sweep<'a> {
     surfels: &'a Surfels,
     /// The lexicographic orders (y, z, x) and (z, x, y); (x, y, z) is the order of the list.
-    orders: [Vec<u32>; 2],
+    orders: Arc<[Vec<u32>; 2]>,
     rule: Rule,
     /// Nothing escapes from this scene: a line that comes from nowhere is unknown, not sky.
     closed: bool,
@@ -60,7 +62,8 @@ pub struct Sweep<'a> {
 
 impl<'a> Sweep<'a> {
     pub fn new(surfels: &'a Surfels, rule: Rule, closed: bool) -> Self {
-        Self { surfels, orders: [axis::order(surfels, 1), axis::order(surfels, 2)], rule, closed }
+        let orders = Arc::new([axis::order(surfels, 1), axis::order(surfels, 2)]);
+        Self { surfels, orders, rule, closed }
     }
 
     pub fn surfels(&self) -> &'a Surfels {
@@ -69,7 +72,7 @@ impl<'a> Sweep<'a> {
 
     /// The same operator, in which lines from nowhere see the sky.
     pub fn opened(&self) -> Self {
-        Self { closed: false, orders: self.orders.clone(), ..*self }
+        Self { closed: false, orders: Arc::clone(&self.orders), ..*self }
     }
 
     /// The irradiance [lux] at every surfel from the radiosities [lm/m²] of all and from the sky.
