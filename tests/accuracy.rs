@@ -6,7 +6,7 @@ use luxel_scene::Scene;
 use support::*;
 
 /// Texels per scene, and paths per texel of the reference: as many as its noise asks for.
-const TEXELS: usize = 200;
+const TEXELS: usize = 300;
 const FEW: u32 = 4096;
 const SOME: u32 = 8192;
 const MANY: u32 = 32_768;
