@@ -24,7 +24,8 @@ pub enum DiscoverError {
 }
 
 /// Expands files and folders, in the order of naming, folders sorted by path, no scene twice. Folders that hold
-/// outputs (`baked`, and `out` itself), hidden ones and links to folders are not entered.
+/// outputs (`baked`, and `out` itself), hidden ones and links to folders are not entered; a .glb whose report beside it says
+/// that a bake wrote it is passed over wherever it lies.
 pub fn find(paths: &[PathBuf], out: Option<&Path>) -> Result<Vec<Found>, DiscoverError> {
     let mut found: Vec<Found> = Vec::new();
     let out = out.and_then(|o| o.canonicalize().ok());
@@ -64,7 +65,7 @@ fn below(root: &Path, out: Option<&Path>) -> Result<Vec<PathBuf>, DiscoverError>
                 if !hidden && name != DEFAULT_FOLDER && !is_out {
                     folders.push(path);
                 }
-            } else if !hidden && is_scene(&path) {
+            } else if !hidden && is_scene(&path) && !luxel_export::is_output(&path) {
                 scenes.push(path);
             }
         }
@@ -95,6 +96,27 @@ mod tests {
         assert_eq!(scenes, [at("a/c.GLTF"), at("b.glb")]);
         assert!(found.iter().all(|f| f.root.as_ref() == Some(&root)));
         assert_eq!(find(&[at("baked/b.glb")], None).unwrap()[0].root, None, "a named file is taken as it is");
+    }
+
+    #[test]
+    fn what_a_bake_wrote_is_passed_over_wherever_it_lies() {
+        let folder = tempfile::tempdir().unwrap();
+        let scene = folder.path().join("level.glb");
+        std::fs::write(&scene, luxel_assets::glb::write(&luxel_assets::cornell()).unwrap()).unwrap();
+        let out = folder.path().join("lit");
+        let mut settings = crate::settings::Settings::preset(crate::settings::Preset::Draft);
+        settings.size = crate::settings::value::Texels(32);
+        let request = crate::Request {
+            scene: scene.clone(),
+            outputs: luxel_export::OutputSet::new(&scene, Some(&out), None).unwrap(),
+            settings: crate::settings::Resolved { settings, ..Default::default() },
+            worker: None,
+        };
+        crate::bake(&request, &luxel_scene::Silent).unwrap();
+        assert!(out.join("level.glb").exists());
+        let found = find(&[folder.path().to_path_buf()], None).unwrap();
+        assert_eq!(found.len(), 1, "{found:?}");
+        assert_eq!(found[0].scene, scene);
     }
 
     #[test]

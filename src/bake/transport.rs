@@ -33,7 +33,7 @@ const POINTS: u32 = 5;
 const PHOTONS_PER_POINT: u32 = 256;
 
 /// The settings that the light at surfels depends on.
-const KEY_SETTINGS: [&str; 15] = [
+const KEY_SETTINGS: [&str; 18] = [
     "sky",
     "sky_rotation",
     "sky_strength",
@@ -49,6 +49,10 @@ const KEY_SETTINGS: [&str; 15] = [
     "closed",
     "photons",
     "shadow_samples",
+    // Where emissive surfaces are too many, cuts gather their light at surfels too.
+    "cut_error",
+    "cut_limit",
+    "near_rays",
 ];
 
 /// The stages that a stored octree stands for.
@@ -90,7 +94,8 @@ impl Store {
     /// The stored light, if it is this bake's.
     fn read(&self, triangles: usize) -> Result<(Surfels, Solution), String> {
         let body = store::read(&self.path, store::OCTREE, &self.key).map_err(|miss| match miss {
-            Miss::Absent => String::new(),
+            // An ordinary change of input or settings is no cause for a warning.
+            Miss::Absent | Miss::OtherKey => String::new(),
             miss => format!("{}: the stored light is made anew: {miss}", self.path.display()),
         })?;
         let foreign = |why: String| format!("{}: the stored light is made anew: {why}", self.path.display());

@@ -120,7 +120,7 @@ settings! {
         ["voxel size"] voxels: Voxels = Voxels::Budget(100_000);
         /// Directions of the first bounce; every further one has half as many, down to 16.
         ["count"] directions: Samples = Samples(512);
-        /// Bounces at most.
+        /// Bounces at most. From the second on, the rest of the geometric series is added to the last one.
         ["count"] bounces: Samples = Samples(64);
         /// Bouncing stops when the light still to come is a smaller share of all light than this.
         ["share"] tolerance: Tolerance = Tolerance(3e-4);

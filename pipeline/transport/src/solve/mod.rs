@@ -353,7 +353,10 @@ impl Bounces<'_> {
                 return self.solve_stiff(&current_cache, q, total, global_cache);
             }
         }
-        self.add_tail(&current_cache, q, global_cache);
+        // One bounce says nothing about the ratio of the series: then what was asked for is all there is.
+        if self.report.bounces.len() > 1 {
+            self.add_tail(&current_cache, q, global_cache);
+        }
         Ok(())
     }
 

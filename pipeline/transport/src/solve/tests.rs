@@ -126,6 +126,24 @@ fn a_black_floor_under_a_sky_gets_the_sky_in_one_bounce() {
 }
 
 #[test]
+fn one_bounce_brings_no_more_than_all_of_them() {
+    let scene = room_with_block(Vec3::splat(0.9));
+    let geometry = Geometry::new(&scene);
+    let surfels = voxelized(&geometry, 16);
+    let direct = vec![Rgb::splat(10.0); surfels.list.len()];
+    let after = |max_bounces| {
+        let settings = SolveSettings { max_bounces, ..closed() };
+        mean(&surfels, &solve(&surfels, &direct, &settings, None, &Silent).unwrap().0.indirect)
+    };
+    assert_eq!(after(0), 0.0);
+    assert!((after(1) / 9.0 - 1.0).abs() < 5e-3, "{}", after(1));
+    // From the second bounce on the ratio is known, and the rest of the series is added.
+    for bounces in [2, 3, 64] {
+        assert!((after(bounces) / 90.0 - 1.0).abs() < 2e-2, "{bounces}: {}", after(bounces));
+    }
+}
+
+#[test]
 fn bad_light_is_refused() {
     let scene = room_with_block(Vec3::splat(0.5));
     let geometry = Geometry::new(&scene);
