@@ -5,11 +5,15 @@
 //! |---|---|---|
 //! | normalise | [`frame`], [`geometry`] | scene → world triangles in a frame of fixed size |
 //! | ray tracing | [`rays`] | geometry → closest hits and transmittances |
+//! | lights | [`lights`] | geometry → convex emitters, lamps, suns with their power |
 //! | surfels | [`surfel`] | geometry → oriented voxel patches |
-//! | light trees | [`lighttree`] | surfels, emitters → clusters with bounds |
-//! | gather | [`gather`] | receivers → indirect irradiance with a stated bound |
-//! | reference | [`reference`] | receivers → irradiance with its standard error |
+//! | shoot | [`shoot`] | lights, surfels → direct irradiance at surfels, exact or by photons |
+//! | propagate | [`directions`], [`sweep`], [`solve`], [`ledger`] | direct irradiance → all bounces, with their energy |
+//! | cache | [`octree`] | surfels and their light ↔ bytes |
+//! | direct light | [`direct`], [`sky_light`] | receivers → irradiance straight from lights and sky |
+//! | gather | [`lighttree`], [`gather`] | receivers → indirect irradiance with a stated bound |
 //! | validity | [`validity`] | receivers → which of them are inside geometry |
+//! | reference | [`reference`] | receivers → irradiance with its standard error |
 //!
 //! Invariants: no module here reads a file, a clock or the number of threads to decide a value; the same input
 //! gives the same bytes. Lengths are in the units of the [`frame::Frame`], light is in SI photometric units.
