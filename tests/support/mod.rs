@@ -108,6 +108,19 @@ pub struct Score {
     pub noise: f64,
 }
 
+impl std::fmt::Display for Score {
+    fn fmt(&self, f: &mut std::fmt::Formatter) -> std::fmt::Result {
+        let [rmse, bias, median, p95, noise] =
+            [self.rmse, self.bias, self.median, self.p95, self.noise].map(|share| 100.0 * share);
+        write!(
+            f,
+            "mean E {:.4}, RMSE {rmse:.2} %, bias {bias:+.2} %, median {median:.2} %, p95 {p95:.1} %, \
+             reference noise {noise:.2} %",
+            self.mean
+        )
+    }
+}
+
 /// Compares values with a reference; `noise` are the reference's standard errors, `weights` areas.
 pub fn score(values: &[Vec3], truth: &[Vec3], noise: &[f32], weights: &[f64]) -> Score {
     let total: f64 = weights.iter().sum();
