@@ -1,109 +1,150 @@
-//! Who sees whom on a discrete line: the surface rule.
+//! One direction of a sweep: slice by slice, each surfel meets its line.
 //!
-//! A line is a staircase of voxels; it runs along a wall for several voxels before it is through, and it passes
-//! voxels that an edge merely touches. The state of a line tells these apart. It holds the emitter that the line
-//! carries light from, the last receiver behind it, and the pair before that one:
-//!
-//! - a *run* of receivers shares the emitter, unless they are strictly layered (both plane tests say that one lies
-//!   behind the other): a wall is one surface, not a stack of blinds;
-//! - an emitter ends a run only if the line really comes out of it: its previous voxel must not lie in front of the
-//!   emitter's plane, and the emitter must fill its voxel (a share φ of the lines, by a number per tube that front
-//!   and back of an object agree on);
-//! - a receiver *blocks* only if the next voxel of the line lies behind its plane: a line that leaves the voxels of
-//!   a surface on the front side has not crossed it;
-//! - a receiver right behind the plane of the emitter that the line carries has not seen it: it belongs to the other
-//!   side of a thin wall and takes what the line carried before;
-//! - what no rule can tell is *unknown*: it adds neither light nor weight. Sky is never unknown in an open scene.
-//!
-//! Lengths are in voxels. A cell has 16 bytes and holds indices only; values in the table were slower.
+//! What depends on a plane and the direction alone is worked out once for all surfels of the plane in a slice, and
+//! most of them need no more than the plane of what their line met last; the few others go through the whole rule
+//! (`rule.rs`). The table of lines holds indices only, 8 bytes a line (values in it were slower). The pairs before lie
+//! in a table of their own, which is written where an emitter ends a run and read only behind such an emitter, so that
+//! it never has to be cleared.
+
+use std::ops::Range;
 
 use super::{
-    axis::{AxisCopy, SweepSurfel},
+    axis::{AxisCopy, NOWHERE},
     lines::{Lines, Slice},
+    sample::Sample,
 };
 use crate::{Rgb, surfel::MAX_PER_VOXEL};
 
-/// Emitters that are no surfel.
-const SKY: u32 = u32::MAX;
-const UNKNOWN: u32 = u32::MAX - 1;
-/// The line has passed through a surface from its front and sees the black inside of it.
-const BLACK: u32 = u32::MAX - 2;
+/// Emitters that are no surfel, counted from the number of surfels: the sky, what no rule can tell, and the black
+/// inside of a surface that the line has passed from its front.
+const SKY: u32 = 0;
+const UNKNOWN: u32 = 1;
+const BLACK: u32 = 2;
 
-/// No receiver yet.
-const NONE: u32 = 0x7fff_ffff;
 /// Set on a receiver: the line went through its surface.
-const BLOCKED: u32 = 0x8000_0000;
+pub(super) const BLOCKED: u32 = 0x8000_0000;
 
-/// Distance from a plane within which two surfels may belong to one surface, and the cosine that makes them coplanar.
-const PLANE: f32 = 0.4;
-const COPLANAR: f32 = 0.5;
-/// A receiver this little in front of an emitter's plane lies behind it.
-const BEHIND: f32 = 1e-4;
+/// Surfels of a patch that are looked at in one go.
+const CHUNK: usize = 64;
 
-/// State of one line.
+/// State of a line: the emitter that it carries light from and the last receiver behind it. Without a receiver, that
+/// is the number of surfels.
 #[derive(Clone, Copy)]
-pub struct Cell {
-    emitter: u32,
-    receiver: u32,
-    /// The pair before.
-    older_emitter: u32,
-    older_receiver: u32,
+#[repr(C, align(8))]
+pub(super) struct Cell {
+    pub(super) emitter: u32,
+    pub(super) receiver: u32,
+}
+
+/// The state of all lines of a direction.
+pub struct Table {
+    pub(super) cells: Vec<Cell>,
+    /// The pairs before.
+    pub(super) older: Vec<Cell>,
+    /// Surfels of a patch that were put off.
+    late: [u32; CHUNK],
+    /// Emitters that the surfels of a patch see.
+    from: [u32; CHUNK],
+    /// The surfels of a slice that share their voxels.
+    faces: Vec<Placed>,
+}
+
+impl Default for Table {
+    fn default() -> Self {
+        Self { cells: Vec::new(), older: Vec::new(), late: [0; CHUNK], from: [0; CHUNK], faces: Vec::new() }
+    }
+}
+
+impl Table {
+    fn clear(&mut self, cells: usize, most: usize, start: Cell) {
+        // As many as any direction needs: tables that grow would be copied.
+        self.cells.clear();
+        self.cells.reserve_exact(most);
+        self.cells.resize(cells, start);
+        if self.older.len() < most {
+            self.older = vec![start; most];
+        }
+    }
+}
+
+/// What the surfels send, and behind them what [`SKY`], [`UNKNOWN`] and [`BLACK`] do; the sky's own light is added
+/// apart.
+pub fn light<S: Sample>(order: &[u32], radiosity: &[Rgb]) -> Vec<S> {
+    let surfels = order.iter().map(|&i| S::new(radiosity[i as usize], 1.0));
+    surfels.chain([S::new(Rgb::ZERO, 1.0), S::default(), S::new(Rgb::ZERO, 1.0)]).collect()
 }
 
 /// Everything that a direction holds fixed.
-struct Ray<'a> {
-    surfels: &'a [SweepSurfel],
-    radiosity: &'a [[f32; 3]],
-    fill: &'a [u16],
-    lines: &'a Lines,
-    sky: [f32; 3],
+pub(super) struct Ray<'a, S> {
+    pub(super) copy: &'a AxisCopy,
+    pub(super) light: &'a [S],
+    pub(super) lines: &'a Lines,
+    pub(super) sky: Option<S>,
+    /// The number of surfels: no receiver.
+    pub(super) none: u32,
+    pub(super) unknown: u32,
     /// What is seen through the back of a surface: black, or unknown where nothing but fronts can be seen.
-    inside: u32,
+    pub(super) inside: u32,
 }
 
-/// Adds one direction to the sums of radiosity and weight (SLOTS = BANDS + 1).
-pub fn sweep<const BANDS: usize, const SLOTS: usize>(
+/// A plane seen along a direction.
+#[derive(Clone, Copy)]
+pub(super) struct Face {
+    pub(super) plane: u32,
+    /// n · σ.
+    pub(super) along: f32,
+    /// n · step to the next voxel of the line, where the plane receives, or to the previous one, where it emits.
+    pub(super) step: f32,
+}
+
+/// A surfel of a voxel of several, and its depth along σ.
+#[derive(Clone, Copy)]
+struct Placed {
+    face: Face,
+    depth: f32,
+}
+
+impl Placed {
+    /// The line meets it first; of equals (the faces of a sheet) the receiver.
+    #[inline(always)]
+    fn is_before(&self, other: &Placed) -> bool {
+        (self.depth, self.face.along > 0.0) < (other.depth, other.face.along > 0.0)
+    }
+}
+
+/// One surfel on its line.
+#[derive(Clone, Copy)]
+pub(super) struct Stop {
+    pub(super) surfel: u32,
+    /// Cell of its line.
+    pub(super) at: u32,
+    pub(super) center_height: f32,
+}
+
+/// Adds one direction to the sums.
+pub fn sweep<S: Sample>(
     copy: &AxisCopy,
+    light: &[S],
     lines: &Lines,
-    sky: Rgb,
+    sky: Option<Rgb>,
     closed: bool,
-    table: &mut Vec<Cell>,
-    sums: &mut [[f32; SLOTS]],
+    table: &mut Table,
+    sums: &mut [S],
 ) {
-    let start = if closed { UNKNOWN } else { SKY };
-    table.clear();
-    table.resize(lines.cells, Cell { emitter: start, receiver: NONE, older_emitter: UNKNOWN, older_receiver: NONE });
+    let count = copy.len() as u32;
+    let start = Cell { emitter: count + if closed { UNKNOWN } else { SKY }, receiver: count };
+    table.clear(lines.cells, copy.most_cells(), start);
     let ray = Ray {
-        surfels: &copy.surfels,
-        radiosity: &copy.radiosity,
-        fill: &copy.fill,
+        copy,
+        light,
         lines,
-        sky: sky.to_array(),
-        inside: if closed { UNKNOWN } else { BLACK },
+        sky: sky.map(|sky| S::new(sky, 0.0)),
+        none: count,
+        unknown: count + UNKNOWN,
+        inside: count + if closed { UNKNOWN } else { BLACK },
     };
     for x in lines.order() {
-        let slice = &lines.slices[x];
-        let (mut i, end) = (copy.slices[x] as usize, copy.slices[x + 1] as usize);
-        while i < end {
-            let s = &copy.surfels[i];
-            let at = s.key() + slice.shift;
-            let cell = &mut table[at as usize];
-            if !s.shares_voxel() {
-                ray.pass::<BANDS, SLOTS>(i, slice, at, cell, sums);
-                i += 1;
-            } else if !copy.surfels[i + 1].shares_voxel() {
-                let (a, b) = if ray.depth(i + 1) < ray.depth(i) { (i + 1, i) } else { (i, i + 1) };
-                ray.pass::<BANDS, SLOTS>(a, slice, at, cell, sums);
-                ray.pass::<BANDS, SLOTS>(b, slice, at, cell, sums);
-                i += 2;
-            } else {
-                let voxel = ray.by_depth(i);
-                for &k in voxel.as_slice() {
-                    ray.pass::<BANDS, SLOTS>(k as usize, slice, at, cell, sums);
-                }
-                i += voxel.len;
-            }
-        }
+        ray.slice(x, table, sums);
     }
 }
 
@@ -113,36 +154,188 @@ struct Voxel {
     len: usize,
 }
 
-impl Voxel {
-    fn as_slice(&self) -> &[u32] {
-        &self.surfels[..self.len]
+impl<S: Sample> Ray<'_, S> {
+    fn slice(&self, x: usize, table: &mut Table, sums: &mut [S]) {
+        let slice = &self.lines.slices[x];
+        let (contents, next) = (&self.copy.slices[x], &self.copy.slices[x + 1]);
+        let patches = &self.copy.patches[contents.patches as usize..next.patches as usize];
+        for (k, patch) in patches.iter().enumerate() {
+            let end = patches.get(k + 1).map_or(contents.shared, |next| next.start);
+            let range = patch.start as usize..end as usize;
+            if patch.plane == NOWHERE {
+                range.for_each(|i| self.pass(i, self.face(self.copy.planes[i], slice), slice, table, sums));
+                continue;
+            }
+            let face = self.face(patch.plane, slice);
+            for start in range.clone().step_by(CHUNK) {
+                let chunk = start..range.end.min(start + CHUNK);
+                if face.along > 0.0 {
+                    match patch.partial {
+                        false => self.emit_all::<false>(chunk, face, slice, table),
+                        true => self.emit_all::<true>(chunk, face, slice, table),
+                    }
+                } else if face.along < 0.0 {
+                    match patch.partial {
+                        false => self.receive_all::<false>(chunk.clone(), face, slice, table),
+                        true => self.receive_all::<true>(chunk.clone(), face, slice, table),
+                    }
+                    self.gather(&table.from, -face.along * self.lines.weight, &mut sums[chunk]);
+                }
+            }
+        }
+        self.shared(contents.shared as usize..next.start as usize, slice, table, sums);
     }
-}
 
-impl Ray<'_> {
-    /// Depth along σ; of equals (the faces of a sheet) the receiver comes first.
     #[inline(always)]
-    fn depth(&self, i: usize) -> (f32, bool) {
-        let (s, sigma) = (&self.surfels[i], &self.lines.sigma);
-        let c = &s.centroid;
-        (c[0] * sigma[0] + c[1] * sigma[1] + c[2] * sigma[2], s.along(sigma) > 0.0)
+    fn face(&self, plane: u32, slice: &Slice) -> Face {
+        let n = &self.copy.normals[plane as usize];
+        let along = dot(n, &self.lines.sigma);
+        let (next, previous) = (dot(n, &slice.next), dot(n, &slice.previous));
+        let step = if along > 0.0 { previous } else { next };
+        Face { plane, along, step: step + 0.0 }
+    }
+
+    /// Keys and centre heights of a patch.
+    #[inline(always)]
+    fn lone(&self, range: &Range<usize>) -> (&[u32], &[f32]) {
+        let keys = self.copy.lone_keys(range.clone());
+        (keys, &self.copy.center_heights[range.start..][..keys.len()])
+    }
+
+    /// A patch that lines leave. What cannot be told from planes alone is put off: every surfel of a patch has a line
+    /// of its own, so that their order does not matter.
+    #[inline(never)]
+    fn emit_all<const PARTIAL: bool>(&self, range: Range<usize>, face: Face, slice: &Slice, table: &mut Table) {
+        let (keys, heights) = self.lone(&range);
+        let planes = &self.copy.planes[..];
+        let (cells, older, late) = (&mut table.cells[..], &mut table.older[..], &mut table.late);
+        let (first, shift, run, none, unknown) = (range.start as u32, slice.shift, slice.run, self.none, self.unknown);
+        let mut put_off = 0;
+        for k in 0..keys.len() {
+            let at = (keys[k] + shift) as usize;
+            let cell = &mut cells[at];
+            let surfel = first + k as u32;
+            if PARTIAL {
+                late[put_off % CHUNK] = surfel;
+                put_off += 1;
+                continue;
+            }
+            if cell.receiver == none {
+                if planes[cell.emitter as usize] == face.plane {
+                    cell.emitter = surfel;
+                    continue;
+                }
+                if run.has(cell.emitter) {
+                    late[put_off % CHUNK] = surfel;
+                    put_off += 1;
+                    continue;
+                }
+            }
+            let carries = (cell.emitter != unknown) & (cell.receiver & BLOCKED == 0);
+            if !(carries & (heights[k] + face.step > 0.0)) {
+                older[at] = *cell;
+                *cell = Cell { emitter: surfel, receiver: none };
+            }
+        }
+        for k in 0..put_off {
+            self.emit(self.stop(table.late[k % CHUNK], slice), face, slice, table);
+        }
+    }
+
+    /// A patch that lines arrive at. Where the light comes from is found first and the light is fetched afterwards,
+    /// many surfels at once: each comes from somewhere else in memory.
+    #[inline(never)]
+    fn receive_all<const PARTIAL: bool>(&self, range: Range<usize>, face: Face, slice: &Slice, table: &mut Table) {
+        let (keys, heights) = self.lone(&range);
+        let planes = &self.copy.planes[..];
+        let (cells, from, late) = (&mut table.cells[..], &mut table.from[..keys.len()], &mut table.late);
+        let (first, shift, thin) = (range.start as u32, slice.shift, slice.thin);
+        let mut put_off = 0;
+        for k in 0..keys.len() {
+            let cell = &mut cells[(keys[k] + shift) as usize];
+            let surfel = first + k as u32;
+            let plane = planes[(cell.receiver & !BLOCKED) as usize];
+            if PARTIAL || plane != face.plane && (plane != NOWHERE || thin.has(cell.emitter)) {
+                late[put_off % CHUNK] = surfel;
+                put_off += 1;
+                continue;
+            }
+            // The sign of the sum, which is no negative zero because the step is none.
+            let blocked = (cell.receiver | (heights[k] + face.step).to_bits()) & BLOCKED;
+            cell.receiver = surfel | blocked;
+            from[k] = cell.emitter;
+        }
+        for k in 0..put_off {
+            let surfel = table.late[k % CHUNK];
+            let from = self.receive(self.stop(surfel, slice), face, slice, table);
+            table.from[(surfel - first) as usize] = from;
+        }
+    }
+
+    /// Adds what the surfels of a patch see.
+    #[inline(always)]
+    fn gather(&self, from: &[u32; CHUNK], w: f32, sums: &mut [S]) {
+        for (sum, &from) in sums.iter_mut().zip(from) {
+            *sum += self.light[from as usize] * w;
+        }
+        if let Some(sky) = self.sky {
+            let seen = sums.iter_mut().zip(from).filter(|(_, from)| **from == self.copy.len() as u32 + SKY);
+            seen.for_each(|(sum, _)| *sum += sky * w);
+        }
+    }
+
+    #[inline(always)]
+    fn stop(&self, surfel: u32, slice: &Slice) -> Stop {
+        let i = surfel as usize;
+        Stop { surfel, at: self.copy.key(i) + slice.shift, center_height: self.copy.center_heights[i] }
+    }
+
+    /// The voxels of several surfels. What depends on a surfel and the direction alone is worked out first, without a
+    /// branch.
+    fn shared(&self, range: Range<usize>, slice: &Slice, table: &mut Table, sums: &mut [S]) {
+        let start = range.start;
+        let mut faces = std::mem::take(&mut table.faces);
+        faces.clear();
+        faces.extend(
+            range.clone().map(|i| Placed { face: self.face(self.copy.planes[i], slice), depth: self.depth(i) }),
+        );
+        let mut i = 0;
+        while i < faces.len() {
+            if self.copy.shares_voxel(start + i + 1) {
+                let voxel = self.by_depth(start + i, &faces[i..]);
+                for &k in &voxel.surfels[..voxel.len] {
+                    self.pass(start + i + k as usize, faces[i + k as usize].face, slice, table, sums);
+                }
+                i += voxel.len;
+            } else {
+                let swap = usize::from(faces[i + 1].is_before(&faces[i]));
+                let (a, b) = (i + swap, i + 1 - swap);
+                self.pass(start + a, faces[a].face, slice, table, sums);
+                self.pass(start + b, faces[b].face, slice, table, sums);
+                i += 2;
+            }
+        }
+        table.faces = faces;
+    }
+
+    #[inline(always)]
+    fn depth(&self, i: usize) -> f32 {
+        dot(&self.copy.centroids[i], &self.lines.sigma)
     }
 
     /// Sorts a voxel of three and more by depth.
     #[inline(never)]
-    fn by_depth(&self, first: usize) -> Voxel {
+    fn by_depth(&self, first: usize, placed: &[Placed]) -> Voxel {
         let mut voxel = Voxel { surfels: [0; MAX_PER_VOXEL], len: 0 };
-        let mut keys = [(0.0f32, false); MAX_PER_VOXEL];
-        for i in first..first + MAX_PER_VOXEL {
-            let key = self.depth(i);
+        for (i, one) in placed.iter().enumerate().take(MAX_PER_VOXEL) {
             let mut k = voxel.len;
-            while k > 0 && key < keys[k - 1] {
-                (keys[k], voxel.surfels[k]) = (keys[k - 1], voxel.surfels[k - 1]);
+            while k > 0 && one.is_before(&placed[voxel.surfels[k - 1] as usize]) {
+                voxel.surfels[k] = voxel.surfels[k - 1];
                 k -= 1;
             }
-            (keys[k], voxel.surfels[k]) = (key, i as u32);
+            voxel.surfels[k] = i as u32;
             voxel.len += 1;
-            if !self.surfels[i].shares_voxel() {
+            if !self.copy.shares_voxel(first + i) {
                 break;
             }
         }
@@ -150,114 +343,18 @@ impl Ray<'_> {
     }
 
     #[inline(always)]
-    fn pass<const BANDS: usize, const SLOTS: usize>(
-        &self,
-        i: usize,
-        slice: &Slice,
-        at: u32,
-        cell: &mut Cell,
-        sums: &mut [[f32; SLOTS]],
-    ) {
-        let s = &self.surfels[i];
-        let d = s.along(&self.lines.sigma);
-        if d > 0.0 {
-            self.emit(i as u32, s, slice, at, cell);
-        } else if d < 0.0 {
-            let from = self.receive(i as u32, s, slice, at, cell);
-            let w = -d * self.lines.weight;
-            let light = match from {
-                UNKNOWN => return,
-                BLACK => &[0.0; 3],
-                SKY => &self.sky,
-                e => &self.radiosity[e as usize],
-            };
-            let sum = &mut sums[i];
-            (0..BANDS).for_each(|b| sum[b] += w * light[b]);
-            sum[BANDS] += w;
+    fn pass(&self, i: usize, face: Face, slice: &Slice, table: &mut Table, sums: &mut [S]) {
+        let stop = self.stop(i as u32, slice);
+        if face.along > 0.0 {
+            self.emit(stop, face, slice, table);
+        } else if face.along < 0.0 {
+            table.from[0] = self.receive(stop, face, slice, table);
+            self.gather(&table.from, -face.along * self.lines.weight, &mut sums[i..=i]);
         }
     }
+}
 
-    /// Whether the surfel fills the tube of this line: the same answer for all surfels of a tube with equal fill.
-    #[inline(always)]
-    fn stops(&self, i: u32, s: &SweepSurfel, at: u32) -> bool {
-        !s.is_partial() || self.partial_stops(i, at)
-    }
-
-    #[inline(never)]
-    fn partial_stops(&self, i: u32, at: u32) -> bool {
-        let mixed = (at ^ self.lines.seed).wrapping_mul(0x9e37_79b1);
-        let mixed = (mixed ^ (mixed >> 15)).wrapping_mul(0x85eb_ca77);
-        ((mixed >> 16) as u16) < self.fill[i as usize]
-    }
-
-    /// The line leaves a surface on its front.
-    #[inline(always)]
-    fn emit(&self, i: u32, s: &SweepSurfel, slice: &Slice, at: u32, cell: &mut Cell) {
-        let Cell { emitter, receiver, .. } = *cell;
-        if receiver == NONE && slice.run.has(emitter) {
-            let e = &self.surfels[emitter as usize];
-            if e.height(&s.centroid).abs() < PLANE && e.along(&s.normal) > COPLANAR {
-                // The same surface goes on.
-                if self.stops(i, s, at) {
-                    cell.emitter = i;
-                }
-                return;
-            }
-        }
-        let crossed = receiver != NONE && receiver & BLOCKED != 0;
-        if emitter != UNKNOWN && !crossed {
-            let brushes = s.center_height + s.along(&slice.previous) > 0.0;
-            if brushes || !self.stops(i, s, at) {
-                return;
-            }
-        }
-        *cell = Cell { emitter: i, receiver: NONE, older_emitter: emitter, older_receiver: receiver };
-    }
-
-    /// The line arrives at a surface on its front; returns where its light comes from.
-    #[inline(always)]
-    fn receive(&self, i: u32, s: &SweepSurfel, slice: &Slice, at: u32, cell: &mut Cell) -> u32 {
-        let behind = s.center_height + s.along(&slice.next) < 0.0;
-        let blocks = if behind && self.stops(i, s, at) { BLOCKED } else { 0 };
-        if cell.receiver != NONE {
-            let blocked = cell.receiver & BLOCKED;
-            if self.shares(cell.receiver & !BLOCKED, s, slice) {
-                cell.receiver = i | blocked | blocks;
-                return cell.emitter;
-            }
-            let thin = slice.thin.has(cell.receiver & !BLOCKED);
-            cell.receiver = i | blocks;
-            if blocked == 0 {
-                // The surface before ended before the line crossed it.
-                return cell.emitter;
-            }
-            cell.emitter = UNKNOWN;
-            return if thin { UNKNOWN } else { self.inside };
-        }
-        if slice.thin.has(cell.emitter) && self.surfels[cell.emitter as usize].height(&s.centroid) <= BEHIND {
-            return self.look_through(i, s, slice, blocks, cell);
-        }
-        cell.receiver = i | blocks;
-        cell.emitter
-    }
-
-    /// The receiver lies behind the emitter's plane: a thin wall or a convex edge, of which it is the near side. It
-    /// takes what the line carried before; the emitter stays for those that come after.
-    #[inline(always)]
-    fn look_through(&self, i: u32, s: &SweepSurfel, slice: &Slice, blocks: u32, cell: &mut Cell) -> u32 {
-        let older = cell.older_receiver;
-        let blocked = if older == NONE { 0 } else { older & BLOCKED };
-        let open = blocked == 0 || self.shares(older & !BLOCKED, s, slice);
-        cell.older_receiver = i | blocked | blocks;
-        if open { cell.older_emitter } else { UNKNOWN }
-    }
-
-    /// Two receivers of a line belong to one surface, or to surfaces that touch without hiding each other.
-    #[inline(always)]
-    fn shares(&self, last: u32, s: &SweepSurfel, slice: &Slice) -> bool {
-        slice.run.has(last) && {
-            let last = &self.surfels[last as usize];
-            !(last.height(&s.centroid) < -PLANE && s.height(&last.centroid) > PLANE)
-        }
-    }
+#[inline(always)]
+pub(super) fn dot(a: &[f32; 3], b: &[f32; 3]) -> f32 {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }

@@ -36,9 +36,9 @@ pub struct Near {
 
 impl Near {
     fn new(copy: &AxisCopy, x: usize, slices: usize, forward: bool) -> Self {
-        let first = if forward { copy.slices[x.saturating_sub(slices)] } else { 0 };
+        let first = if forward { copy.slices[x.saturating_sub(slices)].start } else { 0 };
         let end =
-            if forward { copy.surfels.len() as u32 } else { copy.slices[(x + slices + 1).min(copy.slices.len() - 1)] };
+            if forward { copy.len() as u32 } else { copy.slices[(x + slices + 1).min(copy.slices.len() - 1)].start };
         Self { first, count: end - first }
     }
 

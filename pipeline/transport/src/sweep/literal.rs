@@ -4,42 +4,41 @@
 //! of voxels that a grazing line shares with a wall only the first exchanges light; what the others ought to have
 //! received is lost, at every resolution.
 
-use super::{axis::AxisCopy, lines::Lines};
+use super::{axis::AxisCopy, lines::Lines, sample::Sample};
 use crate::Rgb;
 
 /// The line has met nothing yet.
 const SKY: u32 = u32::MAX;
 
 /// Adds one direction to the sums. Rows are not repaired: what is not received counts as black.
-pub fn sweep<const BANDS: usize, const SLOTS: usize>(
+pub fn sweep<S: Sample>(
     copy: &AxisCopy,
+    radiosity: &[S],
     lines: &Lines,
     sky: Rgb,
     table: &mut Vec<u32>,
-    sums: &mut [[f32; SLOTS]],
+    sums: &mut [S],
 ) {
     table.clear();
     table.resize(lines.cells, SKY);
-    let sky = sky.to_array();
+    let (sky, nothing) = (S::new(sky, 1.0), S::new(Rgb::ZERO, 1.0));
+    let facing: Vec<f32> =
+        copy.normals.iter().map(|n| n[0] * lines.sigma[0] + n[1] * lines.sigma[1] + n[2] * lines.sigma[2]).collect();
     for x in lines.order() {
         let shift = lines.slices[x].shift;
-        let (start, end) = (copy.slices[x] as usize, copy.slices[x + 1] as usize);
-        for (i, (s, sum)) in copy.surfels.iter().zip(sums.iter_mut()).enumerate().take(end).skip(start) {
-            let d = s.along(&lines.sigma);
-            let cell = &mut table[(s.key() + shift) as usize];
+        let (start, end) = (copy.slices[x].start as usize, copy.slices[x + 1].start as usize);
+        for (i, sum) in sums.iter_mut().enumerate().take(end).skip(start) {
+            let d = facing[copy.planes[i] as usize];
+            let cell = &mut table[(copy.key(i) + shift) as usize];
             let before = std::mem::replace(cell, i as u32);
             if d < 0.0 {
                 let w = -d * lines.weight;
-                sum[BANDS] += w;
-                let light = if before == SKY {
-                    Some(&sky)
-                } else {
-                    let faces = copy.surfels[before as usize].along(&lines.sigma) > 0.0;
-                    faces.then(|| &copy.radiosity[before as usize])
+                let light = match before {
+                    SKY => &sky,
+                    before if facing[copy.planes[before as usize] as usize] > 0.0 => &radiosity[before as usize],
+                    _ => &nothing,
                 };
-                if let Some(light) = light {
-                    (0..BANDS).for_each(|b| sum[b] += w * light[b]);
-                }
+                *sum += *light * w;
             }
         }
     }

@@ -21,15 +21,21 @@ mod axis;
 mod kernel;
 mod lines;
 mod literal;
+mod planes;
+mod rule;
+mod sample;
 
 use std::sync::Arc;
 
+use glam::{Vec2, Vec4};
 use luxel_scene::{Cancelled, Progress};
 use rayon::prelude::*;
 
 use crate::{Rgb, directions::Direction, surfel::Surfels};
 use axis::AxisCopy;
 use lines::Lines;
+use planes::Planes;
+use sample::Sample;
 
 /// Groups that the directions of one dominant axis are split into, at most, and directions per group, at least.
 const GROUPS: usize = 8;
@@ -39,7 +45,7 @@ const PER_GROUP: usize = 4;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
 pub enum Rule {
     /// Runs of voxels of one surface share what the line carries; plane tests and fill fractions tell a surface that
-    /// the line crosses from one that it brushes. `kernel.rs` has the rule.
+    /// the line crosses from one that it brushes. `rule.rs` has the rule.
     #[default]
     Surface,
     /// The paper's rule: the next voxel in the ordered list is the visible one. For comparison.
@@ -53,8 +59,9 @@ pub type SkyFn<'a> = &'a (dyn Fn(glam::Vec3) -> Rgb + Sync);
 /// The transport operator T of a scene: radiosities in, irradiances out.
 pub struct Sweep<'a> {
     surfels: &'a Surfels,
-    /// The lexicographic orders (y, z, x) and (z, x, y); (x, y, z) is the order of the list.
-    orders: Arc<[Vec<u32>; 2]>,
+    /// What does not change from sweep to sweep: the planes, and the orders along the three axes.
+    planes: Arc<Planes>,
+    orders: Arc<[Vec<u32>; 3]>,
     rule: Rule,
     /// Nothing escapes from this scene: a line that comes from nowhere is unknown, not sky.
     closed: bool,
@@ -62,8 +69,9 @@ pub struct Sweep<'a> {
 
 impl<'a> Sweep<'a> {
     pub fn new(surfels: &'a Surfels, rule: Rule, closed: bool) -> Self {
-        let orders = Arc::new([axis::order(surfels, 1), axis::order(surfels, 2)]);
-        Self { surfels, orders, rule, closed }
+        let planes = Arc::new(Planes::new(surfels));
+        let orders = Arc::new([0, 1, 2].map(|axis| axis::order(surfels, &planes, axis)));
+        Self { surfels, planes, orders, rule, closed }
     }
 
     pub fn surfels(&self) -> &'a Surfels {
@@ -72,7 +80,7 @@ impl<'a> Sweep<'a> {
 
     /// The same operator, in which lines from nowhere see the sky.
     pub fn opened(&self) -> Self {
-        Self { closed: false, orders: Arc::clone(&self.orders), ..*self }
+        Self { closed: false, planes: Arc::clone(&self.planes), orders: Arc::clone(&self.orders), ..*self }
     }
 
     /// The irradiance [lux] at every surfel from the radiosities [lm/m²] of all and from the sky.
@@ -90,16 +98,16 @@ impl<'a> Sweep<'a> {
         progress: &dyn Progress,
     ) -> Result<Vec<Rgb>, Cancelled> {
         match (self.rule, grey) {
-            (Rule::Surface, false) => self.run::<3, 4, false>(directions, radiosity, sky, progress),
-            (Rule::Surface, true) => self.run::<1, 2, false>(directions, radiosity, sky, progress),
-            (Rule::Literal, false) => self.run::<3, 4, true>(directions, radiosity, sky, progress),
-            (Rule::Literal, true) => self.run::<1, 2, true>(directions, radiosity, sky, progress),
+            (Rule::Surface, false) => self.run::<Vec4, false>(directions, radiosity, sky, progress),
+            (Rule::Surface, true) => self.run::<Vec2, false>(directions, radiosity, sky, progress),
+            (Rule::Literal, false) => self.run::<Vec4, true>(directions, radiosity, sky, progress),
+            (Rule::Literal, true) => self.run::<Vec2, true>(directions, radiosity, sky, progress),
         }
     }
 
-    /// Sums of radiosity and weight (SLOTS = BANDS + 1) over the three dominant axes, one axis at a time so that only
+    /// Sums of radiosity and weight over the three dominant axes, one axis at a time so that only
     /// one sorted copy of the surfels lives at once.
-    fn run<const BANDS: usize, const SLOTS: usize, const LITERAL: bool>(
+    fn run<S: Sample, const LITERAL: bool>(
         &self,
         directions: &[Direction],
         radiosity: &[Rgb],
@@ -107,39 +115,62 @@ impl<'a> Sweep<'a> {
         progress: &dyn Progress,
     ) -> Result<Vec<Rgb>, Cancelled> {
         let count = self.surfels.list.len();
-        let mut sums = vec![[0.0f32; SLOTS]; count];
+        let mut sums = vec![S::default(); count];
+        let mut sorted = vec![S::default(); count];
+        let mut workspaces: Vec<_> = (0..rayon::current_num_threads().max(1)).map(|_| Workspace::default()).collect();
         for axis in 0..3 {
             let mine: Vec<Direction> =
                 directions.iter().filter(|d| lines::dominant(d.sigma) == axis).copied().collect();
             if mine.is_empty() || count == 0 {
                 continue;
             }
-            let order = if axis == 0 { None } else { Some(&self.orders[axis - 1][..]) };
-            let copy = AxisCopy::new(self.surfels, axis, order, radiosity);
+            let order = &self.orders[axis];
+            let copy = AxisCopy::new(self.surfels, &self.planes, axis, order);
+            let light = kernel::light::<S>(order, radiosity);
             let groups: Vec<&[Direction]> = groups(&mine).collect();
             // Waves as wide as the pool bound the memory; the order of addition is that of the groups in any case.
-            for wave in groups.chunks(rayon::current_num_threads().max(1)) {
-                let parts: Result<Vec<_>, Cancelled> = wave
-                    .par_iter()
-                    .map(|group| sweep_group::<BANDS, SLOTS, LITERAL>(&copy, group, sky, self.closed, progress))
-                    .collect();
-                for part in parts? {
-                    copy.scatter_add(order, &part, &mut sums);
+            for wave in groups.chunks(workspaces.len()) {
+                wave.par_iter().zip(&mut workspaces).try_for_each(|(group, workspace)| {
+                    self.sweep_group::<S, LITERAL>(&copy, &light, group, sky, workspace, progress)
+                })?;
+                for workspace in &workspaces[..wave.len()] {
+                    sorted.iter_mut().zip(&workspace.sums).for_each(|(sum, part)| *sum += *part);
                 }
             }
+            for (&i, part) in order.iter().zip(&mut sorted) {
+                sums[i as usize] += std::mem::take(part);
+            }
         }
-        Ok(sums.iter().map(mean::<BANDS, SLOTS>).collect())
+        Ok(sums.iter().map(|sum| sum.mean()).collect())
     }
-}
 
-/// Irradiance from the sums; a surfel of which nothing is known gets none.
-fn mean<const BANDS: usize, const SLOTS: usize>(sums: &[f32; SLOTS]) -> Rgb {
-    let weight = sums[BANDS];
-    if weight <= 0.0 {
-        return Rgb::ZERO;
+    /// The sums of a group of directions, left in the workspace.
+    fn sweep_group<S: Sample, const LITERAL: bool>(
+        &self,
+        copy: &AxisCopy,
+        light: &[S],
+        group: &[Direction],
+        sky: Option<SkyFn>,
+        workspace: &mut Workspace<S>,
+        progress: &dyn Progress,
+    ) -> Result<(), Cancelled> {
+        let Workspace { sums, table, literal } = workspace;
+        sums.clear();
+        sums.resize(copy.len(), S::default());
+        for direction in group {
+            progress.check()?;
+            let lines = Lines::new(copy, direction);
+            // Light travels along σ, so the sky is seen against it. L of the sky stands for the radiosity πL.
+            let sky = sky.map(|sky| sky(-direction.sigma) * std::f32::consts::PI);
+            if LITERAL {
+                literal::sweep(copy, light, &lines, sky.unwrap_or_default(), literal, sums);
+            } else {
+                kernel::sweep(copy, light, &lines, sky, self.closed, table, sums);
+            }
+            progress.advance(copy.len() as u64);
+        }
+        Ok(())
     }
-    let e = if BANDS == 1 { Rgb::splat(sums[0]) } else { Rgb::new(sums[0], sums[1], sums[2]) };
-    e / weight
 }
 
 /// A split that depends on the directions alone.
@@ -147,29 +178,17 @@ fn groups(directions: &[Direction]) -> impl Iterator<Item = &[Direction]> {
     directions.chunks(directions.len().div_ceil(GROUPS).max(PER_GROUP))
 }
 
-fn sweep_group<const BANDS: usize, const SLOTS: usize, const LITERAL: bool>(
-    copy: &AxisCopy,
-    group: &[Direction],
-    sky: Option<SkyFn>,
-    closed: bool,
-    progress: &dyn Progress,
-) -> Result<Vec<[f32; SLOTS]>, Cancelled> {
-    let mut sums = vec![[0.0f32; SLOTS]; copy.surfels.len()];
-    let mut table = Vec::new();
-    let mut literal = Vec::new();
-    for direction in group {
-        progress.check()?;
-        let lines = Lines::new(copy, direction);
-        // Light travels along σ, so the sky is seen against it. L of the sky stands for the radiosity πL.
-        let sky = sky.map_or(Rgb::ZERO, |sky| sky(-direction.sigma) * std::f32::consts::PI);
-        if LITERAL {
-            literal::sweep::<BANDS, SLOTS>(copy, &lines, sky, &mut literal, &mut sums);
-        } else {
-            kernel::sweep::<BANDS, SLOTS>(copy, &lines, sky, closed, &mut table, &mut sums);
-        }
-        progress.advance(copy.surfels.len() as u64);
+/// What a thread needs to sweep, used again and again.
+struct Workspace<S> {
+    sums: Vec<S>,
+    table: kernel::Table,
+    literal: Vec<u32>,
+}
+
+impl<S> Default for Workspace<S> {
+    fn default() -> Self {
+        Self { sums: Vec::new(), table: kernel::Table::default(), literal: Vec::new() }
     }
-    Ok(sums)
 }
 
 #[cfg(test)]

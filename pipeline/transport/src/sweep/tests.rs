@@ -235,17 +235,24 @@ fn threads_do_not_change_a_bit() {
 }
 
 #[test]
-fn both_lexicographic_orders_are_sorted() {
-    let scene = room_with_block(Vec3::ONE);
+fn orders_go_slice_by_slice_and_keep_voxels_together() {
+    let scene = tilted(room_with_block(Vec3::ONE));
     let geometry = Geometry::new(&scene);
     let surfels = voxelized(&geometry, 16);
-    for axis in [1, 2] {
-        let order = axis::order(&surfels, axis);
-        let key = |i: &u32| {
-            let v = surfels.list[*i as usize].voxel;
-            ([v[axis], v[(axis + 1) % 3], v[(axis + 2) % 3]], *i)
-        };
-        assert!(order.is_sorted_by_key(key));
+    let planes = Planes::new(&surfels);
+    for axis in 0..3 {
+        let order = axis::order(&surfels, &planes, axis);
+        let voxel = |i: &u32| surfels.list[*i as usize].voxel;
+        assert!(order.is_sorted_by_key(|i| voxel(i)[axis]));
+        let mut runs: Vec<_> = order.chunk_by(|a, b| voxel(a) == voxel(b)).map(|run| voxel(&run[0])).collect();
+        let count = runs.len();
+        runs.sort_by_key(|v| v.to_array());
+        runs.dedup();
+        assert_eq!(runs.len(), count, "a voxel is in two places");
+        let copy = AxisCopy::new(&surfels, &planes, axis, &order);
+        let lone = copy.slices.windows(2).map(|s| s[0].shared - s[0].start).sum::<u32>() as usize;
+        assert!(lone > surfels.list.len() / 2, "{lone} of {}", surfels.list.len());
+        assert!(copy.patches.len() < lone / 3, "{} patches of {lone} surfels", copy.patches.len());
     }
 }
 
