@@ -60,7 +60,7 @@ pub fn solve(
         steps += 1;
         let scale = balance(surfels, sent, &x, &y);
         x.iter_mut().chain(y.iter_mut()).for_each(|v| *v *= scale);
-        let plain: Vec<Rgb> = (0..x.len()).map(|i| source[i] + surfels.list[i].albedo * y[i]).collect();
+        let plain: Vec<Rgb> = (0..x.len()).map(|i| source[i] + surfels.list[i].albedo() * y[i]).collect();
         let residual: Vec<Rgb> = plain.iter().zip(&x).map(|(g, x)| *g - *x).collect();
         let remaining = error(surfels, &residual, q);
         let total = before + flux(surfels, |i| y[i]).element_sum() / 3.0;
@@ -141,7 +141,7 @@ fn cholesky(n: usize, a: impl Fn(usize, usize) -> f64, b: impl Fn(usize) -> f64)
 
 /// The factor per band that makes what is sent, absorbed and lost add up; 1 where there is nothing to balance.
 fn balance(surfels: &Surfels, sent: DVec3, x: &[Rgb], y: &[Rgb]) -> Rgb {
-    let kept = flux(surfels, |i| x[i] - surfels.list[i].albedo * y[i]);
+    let kept = flux(surfels, |i| x[i] - surfels.list[i].albedo() * y[i]);
     let band = |b: usize| {
         let scale = sent[b] / kept[b];
         // The gather is not exactly symmetric, so near ρ = 1 a first guess may seem to make light.

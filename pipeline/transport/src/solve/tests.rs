@@ -283,7 +283,7 @@ fn a_thin_wall_keeps_the_dark_room_dark() {
         let x = |i: usize| {
             let s = &surfels.list[i];
             let t = &geometry.triangles[s.triangle as usize];
-            inverse.transform_point3(geometry.frame.world(t.at(s.u, s.v))).x
+            inverse.transform_point3(geometry.frame.world(t.at(s.u(), s.v()))).x
         };
         let direct: Vec<Rgb> = (0..surfels.list.len()).map(|i| if x(i) < 1.0 { Rgb::ONE } else { Rgb::ZERO }).collect();
         let (solution, _) = solve(&surfels, &direct, &closed(), None, &Silent).unwrap();

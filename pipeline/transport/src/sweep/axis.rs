@@ -77,7 +77,7 @@ pub fn order(surfels: &Surfels, axis: usize) -> Vec<u32> {
 }
 
 fn counting_sort(surfels: &Surfels, axis: usize, from: &[u32]) -> Vec<u32> {
-    let slice = |i: u32| surfels.list[i as usize].voxel[axis] as usize;
+    let slice = |i: u32| surfels.list[i as usize].voxel()[axis] as usize;
     let mut starts = vec![0u32; surfels.grid.size[axis] as usize + 1];
     from.iter().for_each(|&i| starts[slice(i) + 1] += 1);
     (1..starts.len()).for_each(|k| starts[k] += starts[k - 1]);
@@ -104,20 +104,20 @@ impl AxisCopy {
         let mut slices = vec![0u32; size[0] as usize + 1];
         for k in 0..count {
             let s = &surfels.list[at(k)];
-            let more = k + 1 < count && surfels.list[at(k + 1)].voxel == s.voxel;
-            let voxel = s.voxel.to_array();
+            let more = k + 1 < count && surfels.list[at(k + 1)].voxel() == s.voxel();
+            let voxel = s.voxel().to_array();
             let (x, y, z) = (voxel[axis], voxel[(axis + 1) % 3], voxel[(axis + 2) % 3]);
             let centroid = surfels.grid.local(s.centroid);
-            let flags = if more { SHARES_VOXEL } else { 0 } | if s.fill < 1.0 { PARTIAL } else { 0 };
+            let flags = if more { SHARES_VOXEL } else { 0 } | if s.fill() < 1.0 { PARTIAL } else { 0 };
             slices[x as usize + 1] += 1;
             sorted.push(SweepSurfel {
                 normal: turn(s.normal),
                 centroid: turn(centroid),
-                center_height: s.normal.dot(s.voxel.as_vec3() + 0.5 - centroid),
+                center_height: s.normal.dot(s.voxel().as_vec3() + 0.5 - centroid),
                 key: (y as u32 * stride + z as u32) | flags,
             });
         }
-        let fill = (0..count).map(|k| (surfels.list[at(k)].fill.clamp(0.0, 1.0) * 65535.0).ceil() as u16).collect();
+        let fill = (0..count).map(|k| surfels.list[at(k)].fill_steps()).collect();
         let radiosity = (0..count).map(|k| radiosity[at(k)].to_array()).collect();
         (1..slices.len()).for_each(|k| slices[k] += slices[k - 1]);
         Self { axis, surfels: sorted, radiosity, fill, slices, size, stride }

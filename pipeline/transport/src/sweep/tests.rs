@@ -155,8 +155,8 @@ fn a_single_sided_wall_blocks_from_behind_and_is_black() {
 fn by_rays(rays: &Rays, surfels: &Surfels, i: usize, radiosity: &dyn Fn(usize) -> f32, count: u32) -> f64 {
     let s = &surfels.list[i];
     let t = &rays.geometry.triangles[s.triangle as usize];
-    let normal = if s.back { -t.normal } else { t.normal };
-    let origin = t.at(s.u, s.v) + normal * OFFSET;
+    let normal = if s.back() { -t.normal } else { t.normal };
+    let origin = t.at(s.u(), s.v()) + normal * OFFSET;
     let basis = sampling::basis(normal);
     let shift = sampling::unit2(sampling::mix(i as u64));
     let mut sum = 0.0;
@@ -242,7 +242,7 @@ fn both_lexicographic_orders_are_sorted() {
     for axis in [1, 2] {
         let order = axis::order(&surfels, axis);
         let key = |i: &u32| {
-            let v = surfels.list[*i as usize].voxel;
+            let v = surfels.list[*i as usize].voxel();
             ([v[axis], v[(axis + 1) % 3], v[(axis + 2) % 3]], *i)
         };
         assert!(order.is_sorted_by_key(key));
