@@ -355,7 +355,7 @@ impl Bounces<'_> {
                 break;
             }
             if bounce >= 3 && q > self.settings.stiff {
-                return self.solve_stiff(&current_cache, q, total, global_cache);
+                return self.solve_stiff(current_cache, q, total, global_cache);
             }
         }
         // One bounce says nothing about the ratio of the series: then what was asked for is all there is.
@@ -376,10 +376,16 @@ impl Bounces<'_> {
         }
     }
 
-    fn solve_stiff(&mut self, current: &[Rgb], q: f64, total: f64, global_cache: &mut [Rgb]) -> Result<(), Cancelled> {
+    fn solve_stiff(
+        &mut self,
+        current: Vec<Rgb>,
+        q: f64,
+        total: f64,
+        global_cache: &mut [Rgb],
+    ) -> Result<(), Cancelled> {
         // A set of its own, the same for all steps: the operator must not change under the iteration.
         let directions = self.settings.set.directions(self.settings.stiff_directions, u32::MAX - 1);
-        let source = self.radiosity(current);
+        let source = self.reflected(current);
         let (sweep, grey, progress) = (&self.sweep, self.grey, self.progress);
         let operator = |radiosity: &[Rgb]| sweep.apply(&directions, radiosity, None, grey, progress);
         let rest = stiff::solve(self.sweep.surfels(), &source, q, total, self.settings.tolerance, operator)?;
