@@ -78,8 +78,8 @@ impl Octree {
             Leaf { surfel: surfels.list[i], direct: solution.direct[i], indirect: solution.indirect[i] }
         };
         let leaves: Vec<Leaf> = order.iter().map(leaf).collect();
-        let codes: Vec<u64> = order.iter().map(|(code, _)| *code).collect();
-        let mut nodes = structure(&codes);
+        let mut nodes = structure(&order);
+        drop(order);
         nodes.iter_mut().for_each(|node| aggregate(node, &leaves));
         Self { grid: surfels.grid, nodes, leaves, emission: surfels.emission.clone() }
     }
@@ -128,21 +128,21 @@ fn morton(voxel: IVec3) -> u64 {
     spread(voxel.x) << 2 | spread(voxel.y) << 1 | spread(voxel.z)
 }
 
-/// Nodes over sorted Morton codes, breadth first so that the children of a node are neighbours. Aggregates are empty.
-fn structure(codes: &[u64]) -> Vec<Node> {
+/// Nodes over surfels sorted by Morton code, breadth first so that the children of a node are neighbours. Aggregates are empty.
+fn structure(codes: &[(u64, u32)]) -> Vec<Node> {
     let empty = |first: usize, count: usize| Node { first: first as u32, count: count as u32, ..Node::zeroed() };
     let mut nodes = if codes.is_empty() { Vec::new() } else { vec![empty(0, codes.len())] };
     let mut next = 0;
     while next < nodes.len() {
         let (first, count) = (nodes[next].first as usize, nodes[next].count as usize);
         let mine = &codes[first..first + count];
-        let differing = mine[0] ^ mine[count - 1];
+        let differing = mine[0].0 ^ mine[count - 1].0;
         if count > LEAF_SIZE as usize && differing != 0 {
             // The highest level on which the codes differ; levels above it would have a single child.
             let level = (63 - differing.leading_zeros()) / 3;
             nodes[next].child = nodes.len() as u32;
             let mut start = first;
-            for part in mine.chunk_by(|a, b| a >> (3 * level) == b >> (3 * level)) {
+            for part in mine.chunk_by(|a, b| a.0 >> (3 * level) == b.0 >> (3 * level)) {
                 nodes.push(empty(start, part.len()));
                 nodes[next].children += 1;
                 start += part.len();

@@ -133,9 +133,9 @@ fn combine(surfels: &Surfels, history: &[Step], now: &Iterate) -> Vec<Rgb> {
     let mut gram = [[DVec3::ZERO; DEPTH]; DEPTH];
     let mut right = [DVec3::ZERO; DEPTH];
     for j in 0..n {
-        for k in 0..=j {
-            gram[j][k] = dot(&|i| step(j, i) * step(k, i));
-            gram[k][j] = gram[j][k];
+        // The lower half is all that the factorisation reads.
+        for (k, product) in gram[j].iter_mut().enumerate().take(j + 1) {
+            *product = dot(&|i| step(j, i) * step(k, i));
         }
         right[j] = dot(&|i| step(j, i) * now.residual[i].as_dvec3());
     }
