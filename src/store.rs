@@ -33,7 +33,7 @@ pub struct Format {
 }
 
 /// The octree irradiance cache.
-pub const OCTREE: Format = Format { magic: *b"luxelOct", version: 1, limit: 8 << 30 };
+pub const OCTREE: Format = Format { magic: *b"luxelOct", version: 2, limit: 8 << 30 };
 
 /// Why a stored file is of no use.
 #[derive(Debug, thiserror::Error)]

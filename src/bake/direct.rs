@@ -53,8 +53,7 @@ pub fn with<T>(
     }
     let punctual = Emitters { areas: Vec::new(), ..emitters.clone() };
     // Emitters are found by rays and by their own tree: no surfel is asked for anything.
-    let surfels =
-        Surfels { grid: Grid { origin: glam::Vec3::ZERO, edge: 1.0, size: glam::IVec3::ONE }, list: Vec::new() };
+    let surfels = Surfels::dark(Grid { origin: glam::Vec3::ZERO, edge: 1.0, size: glam::IVec3::ONE }, Vec::new());
     let dark = Solution::default();
     let field = Field::new(rays, &surfels, &dark)?;
     let cuts = lightcuts::Settings {

@@ -16,27 +16,24 @@ pub fn run(
     light: &TexelLight,
     settings: &Settings,
 ) -> Result<(Vec<Lightmap>, Vec<BoundMap>, FinishReport), Error> {
-    let valid: Vec<bool> = light.buried.iter().map(|b| !b).collect();
-    let values: Vec<Rgb> = (0..atlas.texels.len()).map(|i| light.total(i)).collect();
     let how = FinishSettings { padding: settings.padding.0, ..FinishSettings::default() };
-    let (images, report) = finish(scene, atlas, &values, &valid, &how)?;
-    let lightmaps = images.iter().map(lightmap).collect::<Result<_, _>>()?;
+    let open = |i: usize| !light.buried[i];
+    let (images, report) = finish(scene, atlas, |i| open(i).then(|| light.total(i)), &how)?;
+    let lightmaps = images.into_iter().map(lightmap).collect::<Result<_, _>>()?;
     let mut bounds = Vec::new();
     if settings.bound {
-        let values: Vec<Rgb> = light.bound.iter().map(|b| Rgb::splat(*b)).collect();
         // A bound is no light: a seam may show in it.
-        let (images, _) = finish(scene, atlas, &values, &valid, &FinishSettings { stitch: false, ..how })?;
-        bounds = images.iter().map(bound).collect::<Result<_, _>>()?;
+        let how = FinishSettings { stitch: false, ..how };
+        let (images, _) = finish(scene, atlas, |i| open(i).then(|| Rgb::splat(light.bound[i])), &how)?;
+        bounds = images.into_iter().map(bound).collect::<Result<_, _>>()?;
     }
     Ok((lightmaps, bounds, report))
 }
 
-fn lightmap(image: &Image) -> Result<Lightmap, Error> {
-    let irradiance = image.pixels.iter().map(|[r, g, b, _]| Rgb::new(*r, *g, *b)).collect();
-    let coverage = image.pixels.iter().map(|p| p[3]).collect();
-    Ok(Lightmap::new(image.width, image.height, irradiance, coverage)?)
+fn lightmap(image: Image) -> Result<Lightmap, Error> {
+    Ok(Lightmap::new(image.width, image.height, image.values, image.coverage)?)
 }
 
-fn bound(image: &Image) -> Result<BoundMap, Error> {
-    Ok(BoundMap::new(image.width, image.height, image.pixels.iter().map(|p| p[0]).collect())?)
+fn bound(image: Image) -> Result<BoundMap, Error> {
+    Ok(BoundMap::new(image.width, image.height, image.values.iter().map(|p| p.x).collect())?)
 }

@@ -27,7 +27,7 @@ use crate::plan::{Plan, Stage};
 use crate::settings::{DoubleSided, GatherMode, Settings};
 
 /// Texels whose receivers exist at the same time.
-const BLOCK: usize = 1 << 15;
+const BLOCK: usize = 1 << 14;
 
 /// Mixed into the seed of receivers on backs.
 const BACK: u64 = 0xbac5;
@@ -123,12 +123,13 @@ impl<'a> Side<'a> {
         let t = self.texel(at);
         let triangle = self.geometry.triangle(t.instance, t.triangle);
         let footprint = self.geometry.frame.length(f64::from(t.footprint));
-        let front = Receiver::on_triangle(self.geometry, triangle, t.u, t.v, footprint, t.seed);
+        let seed = self.charts[t.chart as usize].texel_seed(t.x, t.y);
+        let front = Receiver::on_triangle(self.geometry, triangle, t.u, t.v, footprint, seed);
         if !self.back {
             return front;
         }
         let (normal, shading_normal) = (-front.normal, -front.shading_normal);
-        Receiver { normal, shading_normal, seed: combine(t.seed, BACK), ..front }
+        Receiver { normal, shading_normal, seed: combine(seed, BACK), ..front }
     }
 
     /// Finds the texels that are buried, and moves those that need not be.
@@ -166,7 +167,8 @@ impl<'a> Side<'a> {
         let mut gathered = 0;
         let mut first = 0;
         while first < self.len() {
-            let end = self.block_end(first);
+            // Interpolation looks at whole charts; a gather at every texel need not.
+            let end = if nodes.is_some() { self.block_end(first) } else { self.len().min(first + BLOCK) };
             let open: Vec<usize> = (first..end).filter(|i| !self.light.buried[*i]).collect();
             let receivers: Vec<Receiver> = open.iter().map(|i| self.receiver(*i)).collect();
             let light = match nodes {

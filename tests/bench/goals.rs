@@ -6,6 +6,7 @@
 //! threads with one needs the wall clock and two idle processors. Ratios compare work that was timed in turns.
 
 mod bakes;
+mod heap;
 mod meter;
 mod rates;
 #[path = "../support/mod.rs"]

@@ -128,7 +128,7 @@ impl<'a> Subject<'a> {
         let s = &self.surfels.list[(sampling::mix(k) % self.count() as u64) as usize];
         let t = &self.geometry.triangles[s.triangle as usize];
         let direction = sampling::cosine_hemisphere(sampling::unit2(sampling::mix(!k)));
-        (t.at(s.u, s.v) + t.normal * OFFSET, sampling::basis(t.normal) * direction)
+        (t.at(s.u(), s.v()) + t.normal * OFFSET, sampling::basis(t.normal) * direction)
     }
 
     fn solve_seconds(&self) -> f64 {

@@ -81,7 +81,14 @@ fn receiver(geometry: &Geometry, lit: &Lit, texel: usize) -> Receiver {
     let t = &lit.atlas.texels[texel];
     let triangle = geometry.triangle(t.instance, t.triangle);
     let footprint = geometry.frame.length(f64::from(t.footprint));
-    Receiver::on_triangle(geometry, triangle, t.u, t.v, footprint, t.seed)
+    Receiver::on_triangle(
+        geometry,
+        triangle,
+        t.u,
+        t.v,
+        footprint,
+        lit.atlas.charts[t.chart as usize].texel_seed(t.x, t.y),
+    )
 }
 
 /// Reference irradiance at texels, each with its own standard error.

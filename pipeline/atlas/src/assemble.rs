@@ -10,9 +10,12 @@ use crate::layout::{Layout, Source, Unwraps};
 use crate::mesh::mesh_key;
 use crate::place::{self, Place, Placement};
 use crate::settings::{AtlasError, AtlasReport, AtlasSettings};
-use crate::texels::{self, Found};
+use crate::texels;
 use crate::unwrap::Unwrapper;
 use crate::{Atlas, Chart, Page, Placed, Texel, authored};
+
+/// Cells of blocks that are rasterised at a time, at least.
+const WAVE: usize = 1 << 16;
 
 /// Unwraps, packs and rasterises a scene.
 ///
@@ -47,30 +50,55 @@ pub fn assemble(
     let placement = place::place(&blocks, settings, progress)?;
     progress.begin("texels", blocks.len() as u64);
     let seeds = Seeds::new(scene, layout);
-    let found: Vec<Vec<Found>> = blocks
-        .par_iter()
-        .zip(&placement.places)
-        .map(|(block, place)| {
-            progress.check()?;
-            let found = texels::texels(block, place, |instance| seeds.chart(instance, block.number));
-            progress.advance(1);
-            Ok(found)
-        })
-        .collect::<Result<_, AtlasError>>()?;
     let side = settings.size;
     let mut atlas = Atlas {
         pages: vec![Page { width: side, height: side }; placement.pages as usize],
         placed: placed(scene, layout, unwraps, &blocks, &placement, side),
         ..Atlas::default()
     };
-    for ((block, place), found) in blocks.iter().zip(&placement.places).zip(&found) {
-        for &instance in &block.instances {
-            let texels = found.iter().filter(|f| f.instance == instance).map(|f| f.texel);
-            push_chart(&mut atlas, instance, place, seeds.chart(instance, block.number), texels);
-        }
-    }
+    rasterise(&blocks, &placement.places, &seeds, progress, &mut atlas)?;
     let report = report(scene, layout, unwraps, settings, &atlas, &placement);
     Ok((atlas, report))
+}
+
+/// Fills in charts and texels, a wave of blocks at a time.
+fn rasterise(
+    blocks: &[Block],
+    places: &[Place],
+    seeds: &Seeds,
+    progress: &dyn Progress,
+    atlas: &mut Atlas,
+) -> Result<(), AtlasError> {
+    let cells = |place: &Place| place.size[0] as usize * place.size[1] as usize;
+    // Charts fill most of their rectangles: little is reserved too much, and nothing moves.
+    atlas.texels.reserve_exact(places.iter().map(cells).sum());
+    let mut next = 0;
+    while next < blocks.len() {
+        let mut end = next;
+        let mut wave = 0;
+        while end < blocks.len() && wave < WAVE {
+            wave += cells(&places[end]);
+            end += 1;
+        }
+        let found: Vec<Vec<Texel>> = blocks[next..end]
+            .par_iter()
+            .zip(&places[next..end])
+            .map(|(block, place)| {
+                progress.check()?;
+                let found = texels::texels(block, place);
+                progress.advance(1);
+                Ok(found)
+            })
+            .collect::<Result<_, AtlasError>>()?;
+        for ((block, place), found) in blocks[next..end].iter().zip(&places[next..end]).zip(found) {
+            for &instance in &block.instances {
+                let texels = found.iter().filter(|t| t.instance == instance).copied();
+                push_chart(atlas, instance, place, seeds.chart(instance, block.number), texels);
+            }
+        }
+        next = end;
+    }
+    Ok(())
 }
 
 fn push_chart(atlas: &mut Atlas, instance: u32, place: &Place, seed: u64, texels: impl Iterator<Item = Texel>) {
@@ -86,6 +114,7 @@ fn push_chart(atlas: &mut Atlas, instance: u32, place: &Place, seed: u64, texels
         y: place.y,
         width,
         height,
+        turn: place.turn,
         first_texel: first as u32,
         texels: (atlas.texels.len() - first) as u32,
         seed,

@@ -42,6 +42,8 @@ pub struct Chart {
     pub y: u32,
     pub width: u32,
     pub height: u32,
+    /// Quarter turns from the chart's own axes to those of the page.
+    pub turn: u8,
     /// Its run in [`Atlas::texels`].
     pub first_texel: u32,
     pub texels: u32,
@@ -49,7 +51,32 @@ pub struct Chart {
     pub seed: u64,
 }
 
-/// One lightmap texel that lies at least partly on its chart.
+impl Chart {
+    /// The identity of one of the chart's texels: its cell in the chart's own axes mixed with the chart's seed, stable
+    /// under re-packing. The texel is given by its place on the page.
+    pub fn texel_seed(&self, x: u16, y: u16) -> u64 {
+        let (x, y) = (u32::from(x).wrapping_sub(self.x), u32::from(y).wrapping_sub(self.y));
+        let (right, bottom) = (self.width.wrapping_sub(1), self.height.wrapping_sub(1));
+        let (i, j) = match self.turn {
+            0 => (x, y),
+            1 => (y, right.wrapping_sub(x)),
+            2 => (right.wrapping_sub(x), bottom.wrapping_sub(y)),
+            _ => (bottom.wrapping_sub(y), x),
+        };
+        mixed(self.seed, i, j)
+    }
+}
+
+/// SplitMix64 (Steele, Lea & Flood 2014) over the chart's seed and the cell.
+fn mixed(seed: u64, i: u32, j: u32) -> u64 {
+    let mut z = seed.wrapping_add((u64::from(j) << 32 | u64::from(i)).wrapping_mul(0x9e37_79b9_7f4a_7c15));
+    z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+    z ^ (z >> 31)
+}
+
+/// One lightmap texel that lies at least partly on its chart: 36 bytes, because a large atlas has millions of them.
+/// Its identity is [`Chart::texel_seed`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Texel {
     pub x: u16,
@@ -66,6 +93,4 @@ pub struct Texel {
     pub coverage: f32,
     /// World length of the texel's side, as the square root of its world area [scene units].
     pub footprint: f32,
-    /// Chart-local cell mixed with the chart's seed: stable under re-packing.
-    pub seed: u64,
 }

@@ -16,8 +16,10 @@ pub struct Image {
     pub page: u32,
     pub width: u32,
     pub height: u32,
-    /// Row-major from the top: linear RGB in the unit of the values, and coverage in [0, 1].
-    pub pixels: Vec<[f32; 4]>,
+    /// Row-major from the top: linear RGB in the unit of the values.
+    pub values: Vec<Vec3>,
+    /// In the same order: the share of each texel that its chart covers, 0 in the padding.
+    pub coverage: Vec<f32>,
 }
 
 #[derive(Clone, Debug, PartialEq)]
@@ -50,72 +52,66 @@ pub struct FinishReport {
 
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum FinishError {
-    #[error("{values} values and {valid} flags for {texels} texels")]
-    Count { values: usize, valid: usize, texels: usize },
     #[error("the value of texel {texel} is negative or not finite")]
     Value { texel: usize },
     #[error("the atlas does not fit together: texel {texel} lies outside its page")]
     Atlas { texel: usize },
 }
 
-/// Makes one image per page from values per texel; `valid` is false where a texel lies inside other geometry.
+/// Makes one image per page from the value of each texel, by its index; none where it lies inside other geometry.
 ///
 /// # Errors
-/// Lengths that do not match the atlas, and valid values that are negative or not finite.
+/// Values that are negative or not finite, and an atlas whose texels lie outside their pages.
 pub fn finish(
     scene: &Scene,
     atlas: &Atlas,
-    values: &[Vec3],
-    valid: &[bool],
+    value: impl Fn(usize) -> Option<Vec3>,
     settings: &FinishSettings,
 ) -> Result<(Vec<Image>, FinishReport), FinishError> {
-    let texels = atlas.texels.len();
-    if values.len() != texels || valid.len() != texels {
-        return Err(FinishError::Count { values: values.len(), valid: valid.len(), texels });
-    }
     let mut report = FinishReport::default();
-    let mut canvases = scattered(atlas, values, valid)?;
-    fill(atlas, valid, &mut canvases, &mut report);
+    let (mut canvases, buried) = scattered(atlas, value)?;
+    fill(&mut canvases, buried, &mut report);
     let padding: Vec<Vec<usize>> = canvases.iter_mut().map(|canvas| canvas.dilate(settings.padding)).collect();
     if settings.stitch {
         let touched = seams::stitch(scene, atlas, &mut canvases, &mut report);
         dilate_again(&mut canvases, &padding, &touched, settings.padding);
     }
-    let images = canvases.iter().zip(0..).map(|(canvas, page)| image(canvas, page));
+    let images = canvases.into_iter().zip(0..).map(|(canvas, page)| image(canvas, page));
     let mut images: Vec<Image> = images.collect();
     for texel in &atlas.texels {
         let image = &mut images[usize::from(texel.page)];
-        image.pixels[usize::from(texel.y) * image.width as usize + usize::from(texel.x)][3] = texel.coverage;
+        image.coverage[usize::from(texel.y) * image.width as usize + usize::from(texel.x)] = texel.coverage;
     }
     Ok((images, report))
 }
 
-fn scattered(atlas: &Atlas, values: &[Vec3], valid: &[bool]) -> Result<Vec<Canvas>, FinishError> {
+/// Pages with the values at their places, and the texels of each page that have none.
+fn scattered(
+    atlas: &Atlas,
+    value: impl Fn(usize) -> Option<Vec3>,
+) -> Result<(Vec<Canvas>, Vec<Vec<usize>>), FinishError> {
     let mut canvases: Vec<Canvas> = atlas.pages.iter().map(|p| Canvas::new(p.width, p.height)).collect();
-    for (number, ((texel, value), valid)) in atlas.texels.iter().zip(values).zip(valid).enumerate() {
+    let mut buried = vec![Vec::new(); canvases.len()];
+    for (number, texel) in atlas.texels.iter().enumerate() {
         let canvas = canvases.get_mut(usize::from(texel.page)).ok_or(FinishError::Atlas { texel: number })?;
         if u32::from(texel.x) >= canvas.width || u32::from(texel.y) >= canvas.height {
             return Err(FinishError::Atlas { texel: number });
         }
         let at = canvas.index(texel.x.into(), texel.y.into());
         canvas.owner[at] = texel.chart + 1;
-        if *valid {
-            if !value.is_finite() || value.min_element() < 0.0 {
-                return Err(FinishError::Value { texel: number });
+        match value(number) {
+            Some(value) if value.is_finite() && value.min_element() >= 0.0 => {
+                canvas.value[at] = value;
+                canvas.trust[at] = texel.coverage.max(0.01);
             }
-            canvas.value[at] = *value;
-            canvas.trust[at] = texel.coverage.max(0.01);
+            Some(_) => return Err(FinishError::Value { texel: number }),
+            None => buried[usize::from(texel.page)].push(at),
         }
     }
-    Ok(canvases)
+    Ok((canvases, buried))
 }
 
-fn fill(atlas: &Atlas, valid: &[bool], canvases: &mut [Canvas], report: &mut FinishReport) {
-    let mut buried: Vec<Vec<usize>> = vec![Vec::new(); canvases.len()];
-    for (texel, _) in atlas.texels.iter().zip(valid).filter(|(_, valid)| !**valid) {
-        let page = usize::from(texel.page);
-        buried[page].push(canvases[page].index(texel.x.into(), texel.y.into()));
-    }
+fn fill(canvases: &mut [Canvas], buried: Vec<Vec<usize>>, report: &mut FinishReport) {
     for (canvas, buried) in canvases.iter_mut().zip(buried) {
         canvas.fill(buried.clone());
         let known = buried.iter().filter(|&&at| canvas.is_known(at)).count();
@@ -137,11 +133,15 @@ fn dilate_again(canvases: &mut [Canvas], padding: &[Vec<usize>], touched: &[Vec<
     }
 }
 
-fn image(canvas: &Canvas, page: u32) -> Image {
-    let pixel = |at: usize| {
-        let v = if canvas.is_known(at) { canvas.value[at] } else { Vec3::ZERO };
-        [v.x, v.y, v.z, 0.0]
-    };
-    let pixels = (0..canvas.value.len()).map(pixel).collect();
-    Image { page, width: canvas.width, height: canvas.height, pixels }
+/// Takes the memory of the canvas.
+fn image(canvas: Canvas, page: u32) -> Image {
+    let Canvas { width, height, owner, value: mut values, trust: mut coverage } = canvas;
+    drop(owner);
+    for (value, trust) in values.iter_mut().zip(&mut coverage) {
+        if *trust <= 0.0 {
+            *value = Vec3::ZERO;
+        }
+        *trust = 0.0;
+    }
+    Image { page, width, height, values, coverage }
 }

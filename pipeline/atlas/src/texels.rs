@@ -6,7 +6,10 @@
 //! where two walls meet. World area is gathered alike: a texel's footprint is the side of the square that has the
 //! world area of the whole texel.
 
+use std::ops::Range;
+
 use glam::DVec2;
+use rayon::prelude::*;
 
 use crate::Texel;
 use crate::blocks::{Block, Face};
@@ -32,31 +35,39 @@ struct Cell {
 
 const EMPTY: Cell = Cell { coverage: 0.0, area: 0.0, distance: f64::INFINITY, sample: DVec2::ZERO, face: 0 };
 
-/// A texel and the instance that its sample lies on, for blocks of several instances.
-pub(crate) struct Found {
-    pub instance: u32,
-    pub texel: Texel,
-}
+/// Rows whose cells exist at the same time; every strip looks at all faces of its block.
+const STRIP: u32 = 64;
 
-/// The texels of a block at its place, in rows of the page. `seed` gives each instance's chart seed.
-pub(crate) fn texels(block: &Block, place: &Place, seed: impl Fn(u32) -> u64) -> Vec<Found> {
+/// The texels of a block at its place, in rows of the page.
+pub(crate) fn texels(block: &Block, place: &Place) -> Vec<Texel> {
     let [width, height] = place.size;
-    let mut cells = vec![EMPTY; width as usize * height as usize];
     let scale = DVec2::new(width.into(), height.into());
     let corners: Vec<[DVec2; 3]> = block.faces.iter().map(|f| f.uv.map(|p| p * scale)).collect();
-    for (number, (face, t)) in block.faces.iter().zip(&corners).enumerate() {
-        draw(&mut cells, width, height, number as u32, face, t);
+    let strips: Vec<Vec<Texel>> = (0..height.div_ceil(STRIP))
+        .into_par_iter()
+        .map(|k| strip(block, place, &corners, k * STRIP..height.min((k + 1) * STRIP)))
+        .collect();
+    let mut texels = Vec::with_capacity(strips.iter().map(Vec::len).sum());
+    strips.into_iter().for_each(|strip| texels.extend(strip));
+    texels.sort_unstable_by_key(|t| (t.y, t.x));
+    texels
+}
+
+/// The texels of some rows of a block, before it is turned.
+fn strip(block: &Block, place: &Place, corners: &[[DVec2; 3]], rows: Range<u32>) -> Vec<Texel> {
+    let width = place.size[0];
+    let mut cells = vec![EMPTY; width as usize * rows.len()];
+    for (number, (face, t)) in block.faces.iter().zip(corners).enumerate() {
+        draw(&mut cells, width, &rows, number as u32, face, t);
     }
-    let mut found: Vec<Found> = Vec::new();
-    for (at, cell) in cells.iter().enumerate() {
-        if cell.coverage < LEAST_COVERAGE || cell.distance.is_infinite() {
-            continue;
-        }
-        let (i, j) = (at as u32 % width, at as u32 / width);
+    let is_there = |cell: &Cell| cell.coverage >= LEAST_COVERAGE && cell.distance.is_finite();
+    let mut texels = Vec::with_capacity(cells.iter().filter(|c| is_there(c)).count());
+    for (at, cell) in cells.iter().enumerate().filter(|(_, c)| is_there(c)) {
+        let (i, j) = (at as u32 % width, at as u32 / width + rows.start);
         let face = &block.faces[cell.face as usize];
         let (u, v) = barycentric(&corners[cell.face as usize], cell.sample);
         let (x, y) = turned((i, j), place);
-        let texel = Texel {
+        texels.push(Texel {
             x: (place.x + x) as u16,
             y: (place.y + y) as u16,
             page: place.page as u16,
@@ -67,12 +78,9 @@ pub(crate) fn texels(block: &Block, place: &Place, seed: impl Fn(u32) -> u64) ->
             v,
             coverage: cell.coverage.min(1.0) as f32,
             footprint: (cell.area / cell.coverage).sqrt() as f32,
-            seed: mixed(seed(face.instance), i, j),
-        };
-        found.push(Found { instance: face.instance, texel });
+        });
     }
-    found.sort_unstable_by_key(|f| (f.texel.y, f.texel.x));
-    found
+    texels
 }
 
 /// The cell of the placed, turned block that a cell of the block becomes.
@@ -99,7 +107,8 @@ pub(crate) fn placed(p: DVec2, place: &Place) -> DVec2 {
     turned + DVec2::new(place.x.into(), place.y.into())
 }
 
-fn draw(cells: &mut [Cell], width: u32, height: u32, number: u32, face: &Face, t: &[DVec2; 3]) {
+/// Adds a face to the cells of some rows.
+fn draw(cells: &mut [Cell], width: u32, rows: &Range<u32>, number: u32, face: &Face, t: &[DVec2; 3]) {
     let twice = (t[1] - t[0]).perp_dot(t[2] - t[0]);
     let world_per_texel = face.area / (0.5 * twice.abs());
     if !world_per_texel.is_finite() {
@@ -107,8 +116,8 @@ fn draw(cells: &mut [Cell], width: u32, height: u32, number: u32, face: &Face, t
     }
     let lo = t[0].min(t[1]).min(t[2]).floor().max(DVec2::ZERO);
     let hi = t[0].max(t[1]).max(t[2]).ceil();
-    let (x0, y0) = (lo.x as u32, lo.y as u32);
-    let (x1, y1) = ((hi.x as u32).min(width), (hi.y as u32).min(height));
+    let (x0, y0) = (lo.x as u32, (lo.y as u32).max(rows.start));
+    let (x1, y1) = ((hi.x as u32).min(width), (hi.y as u32).min(rows.end));
     let edges = Edges::new(t, twice);
     for y in y0..y1 {
         for x in x0..x1 {
@@ -118,7 +127,7 @@ fn draw(cells: &mut [Cell], width: u32, height: u32, number: u32, face: &Face, t
                 Meeting::Inside => None,
                 Meeting::Border => Some(clipped(t, centre)),
             };
-            let cell = &mut cells[y as usize * width as usize + x as usize];
+            let cell = &mut cells[(y - rows.start) as usize * width as usize + x as usize];
             let area = covered.as_ref().map_or(1.0, Polygon::area);
             if area <= 0.0 {
                 continue;
@@ -210,17 +219,10 @@ fn barycentric(t: &[DVec2; 3], p: DVec2) -> (f32, f32) {
     (u, v.min(1.0 - u))
 }
 
-/// SplitMix64 (Steele, Lea & Flood 2014) over the chart's seed and the cell.
-fn mixed(seed: u64, i: u32, j: u32) -> u64 {
-    let mut z = seed.wrapping_add((u64::from(j) << 32 | u64::from(i)).wrapping_mul(0x9e37_79b9_7f4a_7c15));
-    z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-    z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-    z ^ (z >> 31)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::Chart;
     use proptest::prelude::*;
 
     fn block(faces: Vec<Face>) -> Block {
@@ -252,14 +254,14 @@ mod tests {
             let uv = [DVec2::new(c[0], c[1]), DVec2::new(c[2], c[3]), DVec2::new(c[4], c[5])];
             let exact = crate::overlap::signed_area(&uv).abs() * f64::from(w * h);
             prop_assume!(exact > 0.1);
-            let found = texels(&block(vec![face(uv, 7)]), &place(w, h, 0), |_| 1);
-            let sum: f64 = found.iter().map(|f| f64::from(f.texel.coverage)).sum();
+            let found = texels(&block(vec![face(uv, 7)]), &place(w, h, 0));
+            let sum: f64 = found.iter().map(|f| f64::from(f.coverage)).sum();
             prop_assert!((sum / exact - 1.0).abs() < 1e-4, "{sum} {exact}");
             let world: f64 =
-                found.iter().map(|f| f64::from(f.texel.coverage) * f64::from(f.texel.footprint).powi(2)).sum();
+                found.iter().map(|f| f64::from(f.coverage) * f64::from(f.footprint).powi(2)).sum();
             prop_assert!((world / 8.0 - 1.0).abs() < 1e-4, "{world}");
             for f in &found {
-                prop_assert!(f.texel.u >= 0.0 && f.texel.v >= 0.0 && f.texel.u + f.texel.v <= 1.0);
+                prop_assert!(f.u >= 0.0 && f.v >= 0.0 && f.u + f.v <= 1.0);
             }
         }
     }
@@ -270,8 +272,7 @@ mod tests {
         let block = block(vec![face(uv, 0)]);
         for turn in 0..4 {
             let place = place(9, 6, turn);
-            for found in texels(&block, &place, |_| 1) {
-                let t = found.texel;
+            for t in texels(&block, &place) {
                 let w = [1.0 - f64::from(t.u) - f64::from(t.v), t.u.into(), t.v.into()];
                 let at = placed(w[0] * uv[0] + w[1] * uv[1] + w[2] * uv[2], &place);
                 assert!(
@@ -283,13 +284,26 @@ mod tests {
 
     #[test]
     fn seeds_belong_to_the_cell_and_not_to_the_place() {
-        let uv = [DVec2::ZERO, DVec2::X, DVec2::ONE];
+        let uv = [DVec2::new(0.1, 0.2), DVec2::new(0.9, 0.1), DVec2::new(0.4, 0.95)];
         let block = block(vec![face(uv, 0)]);
-        let seeds = |turn| {
-            let mut s: Vec<u64> = texels(&block, &place(8, 8, turn), |_| 42).iter().map(|f| f.texel.seed).collect();
+        // By the point on the triangle, so that turned copies are compared cell by cell.
+        let seeds = |turn: u8| {
+            let place = place(9, 6, turn);
+            let (width, height) = if turn.is_multiple_of(2) { (9, 6) } else { (6, 9) };
+            let (x, y, seed) = (place.x, place.y, 42);
+            let chart = Chart { instance: 0, page: 0, x, y, width, height, turn, first_texel: 0, texels: 0, seed };
+            let mut s: Vec<_> = texels(&block, &place)
+                .iter()
+                .map(|t| ([t.u.to_bits(), t.v.to_bits()], chart.texel_seed(t.x, t.y)))
+                .collect();
             s.sort_unstable();
             s
         };
-        assert_eq!(seeds(0), seeds(3));
+        let straight = seeds(0);
+        assert!(straight.len() > 20 && (1..4).all(|turn| seeds(turn) == straight));
+        let mut own: Vec<u64> = straight.iter().map(|s| s.1).collect();
+        own.sort_unstable();
+        own.dedup();
+        assert_eq!(own.len(), straight.len());
     }
 }

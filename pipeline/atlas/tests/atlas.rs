@@ -178,7 +178,8 @@ fn instances_share_the_unwrap_and_nothing_else() {
     }
     // Of the flattened box only top and bottom are left.
     assert_eq!(atlas.charts.iter().filter(|c| c.instance == 2 && c.texels > 0).count(), 2);
-    let seeds: BTreeSet<u64> = atlas.texels.iter().map(|t| t.seed).collect();
+    let seeds: BTreeSet<u64> =
+        atlas.texels.iter().map(|t| atlas.charts[t.chart as usize].texel_seed(t.x, t.y)).collect();
     assert_eq!(seeds.len(), atlas.texels.len());
 }
 

@@ -90,7 +90,7 @@ fn continuous(rays: &Rays, surfels: &Surfels) -> f64 {
         let s = &surfels.list[(sampling::mix(k) % surfels.list.len() as u64) as usize];
         let t = &rays.geometry.triangles[s.triangle as usize];
         let direction = sampling::cosine_hemisphere(sampling::unit2(sampling::mix(!k)));
-        (t.at(s.u, s.v) + t.normal * OFFSET, sampling::basis(t.normal) * direction)
+        (t.at(s.u(), s.v()) + t.normal * OFFSET, sampling::basis(t.normal) * direction)
     };
     let starts: Vec<_> = (0..count).map(origin).collect();
     let seconds = best(|| {

@@ -54,8 +54,8 @@ impl Ledger {
     pub fn close(stages: Vec<Stage>, surfels: &Surfels, direct: &[Rgb], indirect: &[Rgb]) -> Self {
         let total = |i: usize| direct[i] + indirect[i];
         let shot = flux(surfels, |i| direct[i]);
-        let absorbed = flux(surfels, |i| (Rgb::ONE - surfels.list[i].albedo) * total(i));
-        let reflected = flux(surfels, |i| surfels.list[i].albedo * total(i));
+        let absorbed = flux(surfels, |i| (Rgb::ONE - surfels.list[i].albedo()) * total(i));
+        let reflected = flux(surfels, |i| surfels.list[i].albedo() * total(i));
         let sum = |part: fn(&Stage) -> DVec3| stages.iter().map(part).sum::<DVec3>();
         let (sky, escaped) = (sum(|s| s.sky), sum(|s| s.escaped));
         let in_flight = reflected - sum(|s| s.sent);

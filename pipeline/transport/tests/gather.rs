@@ -430,7 +430,7 @@ fn nothing_lights_nothing() {
     let scene = room(0.5);
     let geometry = Geometry::new(&scene);
     let rays = Rays::new(&geometry);
-    let surfels = Surfels { grid: Grid { origin: Vec3::ZERO, edge: 1.0, size: glam::IVec3::ONE }, list: Vec::new() };
+    let surfels = Surfels::dark(Grid { origin: Vec3::ZERO, edge: 1.0, size: glam::IVec3::ONE }, Vec::new());
     let solution = Solution::default();
     let field = Field::new(&rays, &surfels, &solution).unwrap();
     let receivers = [Receiver::on_triangle(&geometry, 0, 0.3, 0.3, 1.0, 1)];

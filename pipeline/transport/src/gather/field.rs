@@ -173,9 +173,9 @@ fn check(rays: &Rays, surfels: &Surfels, solution: &Solution) -> Result<(), Fiel
         if s.triangle as usize >= triangles {
             return Err(FieldError::Triangle { surfel, triangle: s.triangle, triangles });
         }
-        let place = s.centroid.is_finite() && s.normal.is_finite() && s.u.is_finite() && s.v.is_finite();
+        let place = s.centroid.is_finite() && s.normal.is_finite();
         let size = s.area.is_finite() && s.area >= 0.0;
-        let lit = light(s.albedo) && light(solution.direct[surfel]) && light(solution.indirect[surfel]);
+        let lit = light(s.albedo()) && light(solution.direct[surfel]) && light(solution.indirect[surfel]);
         if !(place && size && lit) {
             return Err(FieldError::Value { surfel });
         }

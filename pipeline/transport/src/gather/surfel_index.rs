@@ -42,8 +42,8 @@ pub struct SurfelIndex {
 impl SurfelIndex {
     pub fn new(surfels: &Surfels) -> Self {
         let list = &surfels.list;
-        let voxels = || list.chunk_by(|a, b| a.voxel == b.voxel);
-        let mut bricks = insert_all(voxels().map(|run| run[0].voxel));
+        let voxels = || list.chunk_by(|a, b| a.voxel() == b.voxel());
+        let mut bricks = insert_all(voxels().map(|run| run[0].voxel()));
         let mut occupied = 0;
         for brick in &mut bricks {
             brick.first = occupied;
@@ -53,7 +53,7 @@ impl SurfelIndex {
         let mut first = 0;
         for run in voxels() {
             let count = run.len() as u32;
-            if let Some(number) = number(&bricks, run[0].voxel) {
+            if let Some(number) = number(&bricks, run[0].voxel()) {
                 runs[number] = Run { first, count };
             }
             first += count;
@@ -174,23 +174,22 @@ mod tests {
     use super::*;
     use crate::{
         Rgb,
-        surfel::{Grid, Surfel},
+        surfel::{Grid, Patch, Surfel},
     };
 
     fn surfel(voxel: IVec3, normal: Vec3) -> Surfel {
-        Surfel {
+        Surfel::from(Patch {
             voxel,
             centroid: voxel.as_vec3() + 0.5,
             normal,
             area: 1.0,
             albedo: Rgb::ONE,
-            emission: Rgb::ZERO,
             fill: 1.0,
             triangle: 0,
             u: 0.0,
             v: 0.0,
             back: false,
-        }
+        })
     }
 
     #[test]
@@ -203,7 +202,7 @@ mod tests {
                 list.push(surfel(IVec3::new(x, y, z), -Vec3::Z));
             }
         }
-        let surfels = Surfels { grid: Grid { origin: Vec3::ZERO, edge: 1.0, size: IVec3::splat(16) }, list };
+        let surfels = Surfels::dark(Grid { origin: Vec3::ZERO, edge: 1.0, size: IVec3::splat(16) }, list);
         let index = SurfelIndex::new(&surfels);
         for (i, s) in surfels.list.iter().enumerate() {
             assert_eq!(index.find(s.centroid, s.normal), Some(i));
@@ -218,7 +217,7 @@ mod tests {
 
     #[test]
     fn an_empty_index_finds_nothing() {
-        let surfels = Surfels { grid: Grid { origin: Vec3::ZERO, edge: 1.0, size: IVec3::ONE }, list: Vec::new() };
+        let surfels = Surfels::dark(Grid { origin: Vec3::ZERO, edge: 1.0, size: IVec3::ONE }, Vec::new());
         assert_eq!(SurfelIndex::new(&surfels).find(Vec3::ZERO, Vec3::Z), None);
     }
 }

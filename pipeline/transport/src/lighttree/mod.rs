@@ -106,13 +106,13 @@ impl LightTree {
     pub fn indirect(geometry: &Geometry, surfels: &Surfels, solution: &Solution, ambient: f32) -> Self {
         let light = |s: &Surfel, e: Rgb| {
             let triangle = &geometry.triangles[s.triangle as usize];
-            let side = if s.back { -triangle.normal } else { triangle.normal };
+            let side = if s.back() { -triangle.normal } else { triangle.normal };
             let area = s.area / std::f32::consts::PI;
             Light {
                 position: s.centroid,
                 normal: s.normal,
-                target: triangle.at(s.u, s.v) + side * OFFSET,
-                intensity: s.albedo * e * area,
+                target: triangle.at(s.u(), s.v()) + side * OFFSET,
+                intensity: s.albedo() * e * area,
                 area,
             }
         };
@@ -158,6 +158,6 @@ fn left_count(count: usize) -> usize {
 /// enough that rounding, which differs between copies of a scene at other places and scales, decides next to nothing.
 pub fn identity(surfel: &Surfel) -> u64 {
     let normal = (surfel.normal * 64.0).round().as_ivec3();
-    let words = surfel.voxel.to_array().into_iter().chain(normal.to_array());
+    let words = surfel.voxel().to_array().into_iter().chain(normal.to_array());
     words.fold(0, |seed, word| combine(seed, u64::from(word as u32)))
 }

@@ -1,4 +1,4 @@
-//! The tree as bytes: bincode around two little-endian arrays. Header, key and checksum are the store's.
+//! The tree as bytes: bincode around three little-endian arrays. Header, key and checksum are the store's.
 //!
 //! Bytes from a disk are not trusted: nothing is allocated before its length has been seen in the input, and a tree
 //! whose ranges, numbers or order do not fit together is an error.
@@ -8,7 +8,10 @@ use bytemuck::Pod;
 use glam::{IVec3, Vec3};
 
 use super::{Leaf, Node, Octree};
-use crate::surfel::{Grid, MAX_SIDE};
+use crate::{
+    Rgb,
+    surfel::{Grid, MAX_SIDE},
+};
 
 #[cfg(target_endian = "big")]
 compile_error!("the octree's arrays are stored little-endian");
@@ -22,8 +25,8 @@ fn config() -> Config {
     bincode::config::standard().with_limit::<MAX_BYTES>()
 }
 
-/// Origin, edge and size of the grid; nodes; leaves.
-type Stored<'a> = ([f32; 3], f32, [i32; 3], &'a [u8], &'a [u8]);
+/// Origin, edge and size of the grid; nodes; leaves; emission.
+type Stored<'a> = ([f32; 3], f32, [i32; 3], &'a [u8], &'a [u8], &'a [u8]);
 
 /// Why bytes are no octree.
 #[derive(Debug, thiserror::Error)]
@@ -49,6 +52,7 @@ impl Octree {
             size.to_array(),
             bytemuck::cast_slice(&self.nodes),
             bytemuck::cast_slice(&self.leaves),
+            bytemuck::cast_slice(&self.emission),
         );
         Ok(bincode::encode_to_vec(stored, config())?)
     }
@@ -65,9 +69,9 @@ impl Octree {
         if used != bytes.len() {
             return Err(OctreeError::Invalid("there are bytes after its end"));
         }
-        let (origin, edge, size, nodes, leaves) = stored;
+        let (origin, edge, size, nodes, leaves, emission) = stored;
         let grid = Grid { origin: Vec3::from(origin), edge, size: IVec3::from(size) };
-        let tree = Self { grid, nodes: array(nodes)?, leaves: array(leaves)? };
+        let tree = Self { grid, nodes: array(nodes)?, leaves: array(leaves)?, emission: array(emission)? };
         tree.check().map_err(OctreeError::Invalid)?;
         Ok(tree)
     }
@@ -82,7 +86,18 @@ impl Octree {
         if !self.leaves.iter().all(|l| is_sound(l, size)) {
             return Err("a surfel is out of range");
         }
+        self.check_emission()?;
         self.check_structure()
+    }
+
+    fn check_emission(&self) -> Result<(), &'static str> {
+        let sorted = self.emission.is_sorted_by(|a, b| a.surfel < b.surfel);
+        let known = self.emission.last().is_none_or(|e| (e.surfel as usize) < self.leaves.len());
+        if sorted && known && self.emission.iter().all(|e| is_light(e.radiance)) {
+            Ok(())
+        } else {
+            Err("its emission makes no sense")
+        }
     }
 
     /// The root holds all leaves, and the children of a node hold its leaves in order.
@@ -130,14 +145,11 @@ fn array<T: Pod>(bytes: &[u8]) -> Result<Vec<T>, OctreeError> {
 }
 
 fn is_sound(l: &Leaf, size: IVec3) -> bool {
-    let voxel = IVec3::from(l.voxel);
-    let inside = voxel.min_element() >= 0 && voxel.cmplt(size).all();
-    let light = [l.albedo, l.emission, l.direct, l.indirect];
-    let lit = light.iter().flatten().chain([&l.area]).all(|v| *v >= 0.0 && v.is_finite());
-    let placed = Vec3::from(l.position).is_finite() && (Vec3::from(l.normal).length() - 1.0).abs() < 1e-3;
-    let on_triangle = l.u >= 0.0 && l.v >= 0.0 && l.u + l.v <= 1.001 && l.back <= 1;
-    let dull = Vec3::from(l.albedo).max_element() <= 1.0;
-    inside && lit && placed && on_triangle && dull && l.fill > 0.0 && l.fill <= 1.0
+    l.surfel.is_sound(size) && is_light(l.direct) && is_light(l.indirect)
+}
+
+fn is_light(light: Rgb) -> bool {
+    light.is_finite() && light.min_element() >= 0.0
 }
 
 fn is_sound_node(n: &Node) -> bool {

@@ -49,7 +49,7 @@ impl Octree {
             }
             stack.extend(node.child..node.child + node.children);
             if node.children == 0 {
-                let inside = |i: &u32| Vec3::from(self.leaf(*i).position).distance_squared(position) <= square;
+                let inside = |i: &u32| self.leaf(*i).surfel.centroid.distance_squared(position) <= square;
                 near.extend((node.first..node.first + node.count).filter(inside));
             }
             if near.len() >= MAX_NEIGHBOURS {
@@ -67,15 +67,15 @@ impl Octree {
         let (mut sum, mut weight) = (Irradiance::default(), 0.0);
         for &i in near {
             let l = self.leaf(i);
-            let (c, n) = (Vec3::from(l.position), Vec3::from(l.normal));
+            let (c, n) = (l.surfel.centroid, l.surfel.normal);
             let height = normal.dot(c - position).abs().max(n.dot(position - c).abs());
             if n.dot(normal) < COSINE || height > PLANE * edge || self.is_hidden(position, normal, c, near) {
                 continue;
             }
             let tent = (1.0 - c.distance(position) / radius).max(0.0);
-            let w = tent * tent * l.area;
-            sum.direct += w * Rgb::from(l.direct);
-            sum.indirect += w * Rgb::from(l.indirect);
+            let w = tent * tent * l.surfel.area;
+            sum.direct += w * l.direct;
+            sum.indirect += w * l.indirect;
             weight += w;
         }
         let scale = 1.0 / weight;
@@ -87,11 +87,11 @@ impl Octree {
     fn is_hidden(&self, position: Vec3, normal: Vec3, c: Vec3, near: &[u32]) -> bool {
         let edge = self.grid.edge;
         near.iter().any(|&i| {
-            let m = self.leaf(i);
-            let (cm, nm) = (Vec3::from(m.position), Vec3::from(m.normal));
+            let m = &self.leaf(i).surfel;
+            let (cm, nm) = (m.centroid, m.normal);
             let (here, there) = (nm.dot(position - cm), nm.dot(c - cm));
             let crosses = here * there < 0.0 && here.abs().min(there.abs()) > 0.02 * edge;
-            let across = nm.dot(normal).abs() < COSINE && m.fill > 0.5;
+            let across = nm.dot(normal).abs() < COSINE && m.fill() > 0.5;
             crosses && across && {
                 let at = position + (c - position) * (here / (here - there));
                 at.distance_squared(cm) < edge * edge

@@ -15,7 +15,7 @@ use glam::{IVec3, Vec3};
 
 use crate::{
     Rgb,
-    surfel::{Grid, Solution, Surfel, Surfels},
+    surfel::{Emission, Grid, Solution, Surfel, Surfels},
 };
 
 pub use codec::OctreeError;
@@ -24,26 +24,14 @@ pub use look_up::Irradiance;
 /// Surfels in a node that is not split further, as a rule; a voxel is never split.
 const LEAF_SIZE: u32 = 8;
 
-/// A surfel with its light. Lengths are in frame units.
+/// A surfel with its light.
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
 #[repr(C)]
 pub struct Leaf {
-    pub voxel: [i32; 3],
-    pub position: [f32; 3],
-    pub normal: [f32; 3],
-    pub area: f32,
-    pub albedo: [f32; 3],
-    /// Emitted radiance [cd/m²].
-    pub emission: [f32; 3],
-    pub fill: f32,
+    pub surfel: Surfel,
     /// Irradiance [lux].
-    pub direct: [f32; 3],
-    pub indirect: [f32; 3],
-    /// A point on a real triangle; `back` is 0 or 1.
-    pub triangle: u32,
-    pub u: f32,
-    pub v: f32,
-    pub back: u32,
+    pub direct: Rgb,
+    pub indirect: Rgb,
 }
 
 /// A node with the aggregate of its leaves, or a group of leaves.
@@ -73,6 +61,8 @@ pub struct Octree {
     grid: Grid,
     nodes: Vec<Node>,
     leaves: Vec<Leaf>,
+    /// As in [`Surfels::emission`], in the order of the list.
+    emission: Vec<Emission>,
 }
 
 impl Octree {
@@ -81,17 +71,17 @@ impl Octree {
         assert_eq!(surfels.list.len(), solution.direct.len(), "a direct irradiance for every surfel");
         assert_eq!(surfels.list.len(), solution.indirect.len(), "an indirect irradiance for every surfel");
         let mut order: Vec<(u64, u32)> =
-            surfels.list.iter().enumerate().map(|(i, s)| (morton(s.voxel), i as u32)).collect();
+            surfels.list.iter().enumerate().map(|(i, s)| (morton(s.voxel()), i as u32)).collect();
         order.sort_unstable();
         let leaf = |&(_, i): &(u64, u32)| {
             let i = i as usize;
-            leaf(&surfels.list[i], solution.direct[i], solution.indirect[i])
+            Leaf { surfel: surfels.list[i], direct: solution.direct[i], indirect: solution.indirect[i] }
         };
         let leaves: Vec<Leaf> = order.iter().map(leaf).collect();
-        let codes: Vec<u64> = order.iter().map(|(code, _)| *code).collect();
-        let mut nodes = structure(&codes);
+        let mut nodes = structure(&order);
+        drop(order);
         nodes.iter_mut().for_each(|node| aggregate(node, &leaves));
-        Self { grid: surfels.grid, nodes, leaves }
+        Self { grid: surfels.grid, nodes, leaves, emission: surfels.emission.clone() }
     }
 
     pub fn grid(&self) -> &Grid {
@@ -109,52 +99,19 @@ impl Octree {
 
     /// Whether every leaf lies on one of so many triangles; a stored tree says nothing about the scene it meets.
     pub fn fits(&self, triangles: usize) -> bool {
-        self.leaves.iter().all(|l| (l.triangle as usize) < triangles)
+        self.leaves.iter().all(|l| (l.surfel.triangle as usize) < triangles)
     }
 
     /// The surfels and the solution that the tree was made from.
     pub fn unpack(&self) -> (Surfels, Solution) {
-        let mut order: Vec<usize> = (0..self.leaves.len()).collect();
-        // Stable: within a voxel the tree keeps the order of the list.
-        order.sort_by_key(|&i| self.leaves[i].voxel);
-        let list = order.iter().map(|&i| surfel(&self.leaves[i])).collect();
-        let direct = order.iter().map(|&i| Rgb::from(self.leaves[i].direct)).collect();
-        let indirect = order.iter().map(|&i| Rgb::from(self.leaves[i].indirect)).collect();
-        (Surfels { grid: self.grid, list }, Solution { direct, indirect })
-    }
-}
-
-fn leaf(s: &Surfel, direct: Rgb, indirect: Rgb) -> Leaf {
-    Leaf {
-        voxel: s.voxel.to_array(),
-        position: s.centroid.to_array(),
-        normal: s.normal.to_array(),
-        area: s.area,
-        albedo: s.albedo.to_array(),
-        emission: s.emission.to_array(),
-        fill: s.fill,
-        direct: direct.to_array(),
-        indirect: indirect.to_array(),
-        triangle: s.triangle,
-        u: s.u,
-        v: s.v,
-        back: u32::from(s.back),
-    }
-}
-
-fn surfel(l: &Leaf) -> Surfel {
-    Surfel {
-        voxel: IVec3::from(l.voxel),
-        centroid: l.position.into(),
-        normal: l.normal.into(),
-        area: l.area,
-        albedo: l.albedo.into(),
-        emission: l.emission.into(),
-        fill: l.fill,
-        triangle: l.triangle,
-        u: l.u,
-        v: l.v,
-        back: l.back != 0,
+        let mut order: Vec<u32> = (0..self.leaves.len() as u32).collect();
+        let leaf = |i: &u32| &self.leaves[*i as usize];
+        // Within a voxel the tree keeps the order of the list.
+        order.sort_unstable_by_key(|i| (leaf(i).surfel.voxel().to_array(), *i));
+        let list = order.iter().map(|i| leaf(i).surfel).collect();
+        let direct = order.iter().map(|i| leaf(i).direct).collect();
+        let indirect = order.iter().map(|i| leaf(i).indirect).collect();
+        (Surfels { grid: self.grid, list, emission: self.emission.clone() }, Solution { direct, indirect })
     }
 }
 
@@ -171,21 +128,21 @@ fn morton(voxel: IVec3) -> u64 {
     spread(voxel.x) << 2 | spread(voxel.y) << 1 | spread(voxel.z)
 }
 
-/// Nodes over sorted Morton codes, breadth first so that the children of a node are neighbours. Aggregates are empty.
-fn structure(codes: &[u64]) -> Vec<Node> {
+/// Nodes over surfels sorted by Morton code, breadth first so that the children of a node are neighbours. Aggregates are empty.
+fn structure(codes: &[(u64, u32)]) -> Vec<Node> {
     let empty = |first: usize, count: usize| Node { first: first as u32, count: count as u32, ..Node::zeroed() };
     let mut nodes = if codes.is_empty() { Vec::new() } else { vec![empty(0, codes.len())] };
     let mut next = 0;
     while next < nodes.len() {
         let (first, count) = (nodes[next].first as usize, nodes[next].count as usize);
         let mine = &codes[first..first + count];
-        let differing = mine[0] ^ mine[count - 1];
+        let differing = mine[0].0 ^ mine[count - 1].0;
         if count > LEAF_SIZE as usize && differing != 0 {
             // The highest level on which the codes differ; levels above it would have a single child.
             let level = (63 - differing.leading_zeros()) / 3;
             nodes[next].child = nodes.len() as u32;
             let mut start = first;
-            for part in mine.chunk_by(|a, b| a >> (3 * level) == b >> (3 * level)) {
+            for part in mine.chunk_by(|a, b| a.0 >> (3 * level) == b.0 >> (3 * level)) {
                 nodes.push(empty(start, part.len()));
                 nodes[next].children += 1;
                 start += part.len();
@@ -200,15 +157,15 @@ fn aggregate(node: &mut Node, leaves: &[Leaf]) {
     let mine = &leaves[node.first as usize..(node.first + node.count) as usize];
     let (mut lo, mut hi) = (Vec3::INFINITY, Vec3::NEG_INFINITY);
     let (mut power, mut area, mut axis) = (glam::DVec3::ZERO, 0.0f64, glam::DVec3::ZERO);
-    for l in mine {
-        (lo, hi) = (lo.min(l.position.into()), hi.max(l.position.into()));
-        let radiosity = Rgb::from(l.albedo) * (Rgb::from(l.direct) + Rgb::from(l.indirect));
-        power += f64::from(l.area) * radiosity.as_dvec3();
-        area += f64::from(l.area);
-        axis += f64::from(l.area) * Vec3::from(l.normal).as_dvec3();
+    for Leaf { surfel: s, direct, indirect } in mine {
+        (lo, hi) = (lo.min(s.centroid), hi.max(s.centroid));
+        let radiosity = s.albedo() * (*direct + *indirect);
+        power += f64::from(s.area) * radiosity.as_dvec3();
+        area += f64::from(s.area);
+        axis += f64::from(s.area) * s.normal.as_dvec3();
     }
     let unit = axis.try_normalize().map(|a| a.as_vec3());
-    let cosine = unit.map_or(-1.0, |a| mine.iter().fold(1.0f32, |m, l| m.min(a.dot(l.normal.into()))));
+    let cosine = unit.map_or(-1.0, |a| mine.iter().fold(1.0f32, |m, l| m.min(a.dot(l.surfel.normal))));
     node.lo = lo.to_array();
     node.hi = hi.to_array();
     node.power = power.as_vec3().to_array();

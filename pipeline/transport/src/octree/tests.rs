@@ -12,7 +12,9 @@ use crate::{
 fn tree(n: u32) -> (Surfels, Solution, Octree) {
     let scene = tilted(room_with_block(Vec3::new(0.7, 0.5, 0.3)));
     let geometry = Geometry::new(&scene);
-    let surfels = voxelized(&geometry, n);
+    let mut surfels = voxelized(&geometry, n);
+    let glow = |surfel| Emission { surfel, radiance: Rgb::new(1.0, 2.0, 3.0) };
+    surfels.emission = vec![glow(1), glow(surfels.list.len() as u32 - 1)];
     let field = |p: Vec3| Rgb::splat(2.0) + p / 3000.0;
     let direct = surfels.list.iter().map(|s| field(s.centroid)).collect();
     let indirect = surfels.list.iter().map(|s| 0.5 * field(-s.centroid)).collect();
@@ -25,7 +27,8 @@ fn tree(n: u32) -> (Surfels, Solution, Octree) {
 fn the_tree_gives_back_what_it_was_made_from() {
     let (surfels, solution, tree) = tree(24);
     let (list, light) = tree.unpack();
-    assert_eq!(list.list, surfels.list);
+    assert_eq!((&list.list, &list.emission), (&surfels.list, &surfels.emission));
+    assert!(!list.emission.is_empty());
     assert_eq!(list.grid, surfels.grid);
     assert_eq!(light, solution);
 }
@@ -44,9 +47,9 @@ fn nodes_aggregate_their_leaves() {
             assert!((power / Rgb::from(node.power) - 1.0).abs().max_element() < 1e-4);
         }
         for l in &tree.leaves()[node.first as usize..(node.first + node.count) as usize] {
-            let p = Vec3::from(l.position);
+            let p = l.surfel.centroid;
             assert!(p.cmpge(node.lo.into()).all() && p.cmple(node.hi.into()).all());
-            assert!(Vec3::from(l.normal).dot(node.axis.into()) >= node.cosine - 1e-6);
+            assert!(l.surfel.normal.dot(node.axis.into()) >= node.cosine - 1e-6);
         }
     }
     let groups = tree.nodes().iter().filter(|n| n.children == 0);
@@ -59,7 +62,7 @@ fn a_look_up_interpolates_its_own_surface() {
     let (surfels, _, tree) = tree(32);
     let field = |p: Vec3| Rgb::splat(2.0) + p / 3000.0;
     let mut found = 0;
-    for s in surfels.list.iter().filter(|s| s.fill == 1.0) {
+    for s in surfels.list.iter().filter(|s| s.fill() == 1.0) {
         let e = tree.look_up(s.centroid, s.normal).unwrap();
         // Near an edge the neighbours lie on one side only: half a voxel of the gradient.
         let slack = 1.5 * surfels.grid.edge / 3000.0;
@@ -101,7 +104,7 @@ fn bytes_round_trip() {
     assert_eq!(again, tree);
     assert_eq!(again.to_bytes().unwrap(), bytes);
     assert!(matches!(Octree::from_bytes(&bytes, bytes.len() - 1), Err(OctreeError::TooLarge { .. })));
-    let surfels = Surfels { grid: *tree.grid(), list: Vec::new() };
+    let surfels = Surfels::dark(*tree.grid(), Vec::new());
     let empty = Octree::new(&surfels, &Solution::default());
     let bytes = empty.to_bytes().unwrap();
     assert_eq!(Octree::from_bytes(&bytes, 1000).unwrap(), empty);

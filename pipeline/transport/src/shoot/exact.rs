@@ -55,7 +55,7 @@ fn by_place(surfels: &Surfels) -> Vec<u32> {
         let surfel = &surfels.list[*i as usize];
         let axis = surfel.normal.abs().max_position() as u64;
         let sense = u64::from(surfel.normal[axis as usize] < 0.0);
-        let [x, y, z] = surfel.voxel.to_array().map(|c| spread(c as u64));
+        let [x, y, z] = surfel.voxel().to_array().map(|c| spread(c as u64));
         ((2 * axis + sense) << 60) | (x << 2) | (y << 1) | z
     };
     let mut order: Vec<u32> = (0..surfels.list.len() as u32).collect();
@@ -71,15 +71,17 @@ fn spread(c: u64) -> u64 {
 /// The surfel's own point, and its neighbours where they lie on the same triangle and in the same voxel.
 fn push_receivers(geometry: &Geometry, grid: &Grid, surfel: &Surfel, points: u32, out: &mut Vec<Receiver>) {
     let triangle = &geometry.triangles[surfel.triangle as usize];
-    let normal = if surfel.back { -triangle.normal } else { triangle.normal };
+    let normal = if surfel.back() { -triangle.normal } else { triangle.normal };
+    let place = u64::from(surfel.u().to_bits()) << 32 | u64::from(surfel.v().to_bits());
+    let seed = combine(u64::from(surfel.triangle), place);
     let at = |position: Vec3, i: u64| Receiver {
         position,
         normal,
         shading_normal: normal,
         footprint: surfel.area.sqrt(),
-        seed: combine(combine(u64::from(surfel.triangle), u64::from(surfel.u.to_bits())), i),
+        seed: combine(seed, i),
     };
-    let center = triangle.at(surfel.u, surfel.v);
+    let center = triangle.at(surfel.u(), surfel.v());
     out.push(at(center, 0));
     if points < 2 {
         return;
@@ -89,7 +91,7 @@ fn push_receivers(geometry: &Geometry, grid: &Grid, surfel: &Surfel, points: u32
     for (i, (x, y)) in [(1.0, 0.4), (-0.4, 1.0), (-1.0, -0.4), (0.4, -1.0)].into_iter().enumerate() {
         let p = center + (axes.x_axis * x + axes.y_axis * y) * step;
         let voxel = ((p - grid.origin) / grid.edge).floor().as_ivec3();
-        if voxel == surfel.voxel && contains(triangle.corners, p) {
+        if voxel == surfel.voxel() && contains(triangle.corners, p) {
             out.push(at(p, i as u64 + 1));
         }
     }

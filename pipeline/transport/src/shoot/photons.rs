@@ -261,9 +261,9 @@ fn find(surfels: &Surfels, point: Vec3, normal: Vec3) -> Option<u32> {
 fn find_in(surfels: &Surfels, voxel: IVec3, normal: Vec3) -> Option<u32> {
     let key = |v: IVec3| (v.x, v.y, v.z);
     let list = &surfels.list;
-    let start = list.partition_point(|s| key(s.voxel) < key(voxel));
+    let start = list.partition_point(|s| key(s.voxel()) < key(voxel));
     let mut best: Option<(u32, f32)> = None;
-    for (i, s) in list[start..].iter().enumerate().take_while(|(_, s)| s.voxel == voxel) {
+    for (i, s) in list[start..].iter().enumerate().take_while(|(_, s)| s.voxel() == voxel) {
         let cosine = s.normal.dot(normal);
         if cosine > best.map_or(0.0, |b| b.1) {
             best = Some(((start + i) as u32, cosine));

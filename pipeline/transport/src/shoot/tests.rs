@@ -9,7 +9,7 @@ use crate::{
     geometry::Geometry,
     lights::Emitters,
     rays::Rays,
-    surfel::{Grid, Surfel, Surfels},
+    surfel::{Grid, Patch, Surfel, Surfels},
 };
 
 /// A floor of 4 × 4 at y = 0 with its front up, which makes the frame: 1024 units per scene unit.
@@ -32,22 +32,21 @@ fn tiled(geometry: &Geometry, n: i32) -> Surfels {
             // Corners of the quad: o, o + a, o + a + b (first triangle); o, o + a + b, o + b (second).
             let (s, t) = ((x as f32 + 0.5) / n as f32, 1.0 - (z as f32 + 0.5) / n as f32);
             let (triangle, u, v) = if s >= t { (0, s - t, t) } else { (1, s, t - s) };
-            list.push(Surfel {
+            list.push(Surfel::from(Patch {
                 voxel: IVec3::new(x, 0, z),
                 centroid,
                 normal: Vec3::Y,
                 area: edge * edge,
                 albedo: Vec3::splat(0.5),
-                emission: Vec3::ZERO,
                 fill: 1.0,
                 triangle,
                 u,
                 v,
                 back: false,
-            });
+            }));
         }
     }
-    Surfels { grid, list }
+    Surfels::dark(grid, list)
 }
 
 /// Photons and exact values of a scene on `n × n` surfels.
@@ -136,7 +135,8 @@ fn under_a_lamp_the_irradiance_is_that_of_the_law() {
     let settings = PhotonSettings { primary: 4000, directions: 256 };
     let (photons, exact, surfels, _) = run(&lit(kind, 10.0), 40, settings);
     let at = |e: &[Rgb]| {
-        let near = surfels.list.iter().zip(e).filter(|(s, _)| (s.voxel.x - 20).abs() < 2 && (s.voxel.z - 20).abs() < 2);
+        let near =
+            surfels.list.iter().zip(e).filter(|(s, _)| (s.voxel().x - 20).abs() < 2 && (s.voxel().z - 20).abs() < 2);
         let values: Vec<_> = near.map(|(_, e)| f64::from(e.x)).collect();
         (values.iter().sum::<f64>() / values.len() as f64, values.len())
     };

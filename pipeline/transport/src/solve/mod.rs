@@ -30,7 +30,7 @@ use crate::{
     Rgb,
     directions::{Direction, DirectionSet},
     ledger::{Ledger, Stage, flux},
-    surfel::{Solution, Surfels},
+    surfel::{Solution, Surfel, Surfels},
     sweep::{Rule, SkyFn, Sweep},
 };
 
@@ -219,8 +219,8 @@ fn is_grey(surfels: &Surfels, direct: &[Rgb], settings: &SolveSettings, sky: Opt
     let grey = |c: Rgb| c.x == c.y && c.y == c.z;
     let sky_is_grey =
         sky.is_none_or(|sky| settings.set.directions(settings.directions, 1).iter().all(|d| grey(sky(-d.sigma))));
-    let emission = |s: &crate::surfel::Surfel| !settings.emit_in_sweep || grey(s.emission);
-    sky_is_grey && direct.iter().all(|&l| grey(l)) && surfels.list.iter().all(|s| grey(s.albedo) && emission(s))
+    let emission_is_grey = !settings.emit_in_sweep || surfels.emission.iter().all(|e| grey(e.radiance));
+    sky_is_grey && emission_is_grey && direct.iter().all(|&l| grey(l)) && surfels.list.iter().all(Surfel::is_grey)
 }
 
 /// The discrete rays of the bounces until the directions reach their floor: the guess of the progress bar.
@@ -254,12 +254,12 @@ impl Bounces<'_> {
 
     /// B = ρE of reflected light.
     fn radiosity(&self, irradiance: &[Rgb]) -> Vec<Rgb> {
-        self.surfels().list.iter().zip(irradiance).map(|(s, &e)| s.albedo * e).collect()
+        self.surfels().list.iter().zip(irradiance).map(|(s, &e)| s.albedo() * e).collect()
     }
 
     /// The same in the memory of the irradiance.
     fn reflected(&self, mut irradiance: Vec<Rgb>) -> Vec<Rgb> {
-        self.surfels().list.iter().zip(&mut irradiance).for_each(|(s, e)| *e *= s.albedo);
+        self.surfels().list.iter().zip(&mut irradiance).for_each(|(s, e)| *e *= s.albedo());
         irradiance
     }
 
@@ -278,9 +278,14 @@ impl Bounces<'_> {
     }
 
     fn add_emission(&mut self, direct: &mut [Rgb]) -> Result<(), Cancelled> {
-        let emitted: Vec<Rgb> = self.surfels().list.iter().map(|s| s.emission * std::f32::consts::PI).collect();
-        if emitted.iter().all(|b| *b == Rgb::ZERO) {
+        if self.surfels().emission.is_empty() {
             return Ok(());
+        }
+        let mut emitted = vec![Rgb::ZERO; direct.len()];
+        for e in &self.surfels().emission {
+            if let Some(b) = emitted.get_mut(e.surfel as usize) {
+                *b = e.radiance * std::f32::consts::PI;
+            }
         }
         let directions = self.settings.set.directions(self.settings.directions, 0);
         let arrived = self.apply(&directions, &emitted, None)?;
@@ -319,7 +324,7 @@ impl Bounces<'_> {
     }
 
     fn run(&mut self, direct: &[Rgb], global_cache: &mut [Rgb]) -> Result<(), Cancelled> {
-        let brightest = self.surfels().list.iter().fold(0.0f32, |m, s| m.max(s.albedo.max_element()));
+        let brightest = self.surfels().list.iter().fold(0.0f32, |m, s| m.max(s.albedo().max_element()));
         // Keeps 1 − q away from zero, whatever the caller's albedos.
         let brightest = brightest.min(luxel_scene::material::MAX_ALBEDO);
         let mut current_cache = Vec::new();
@@ -350,7 +355,7 @@ impl Bounces<'_> {
                 break;
             }
             if bounce >= 3 && q > self.settings.stiff {
-                return self.solve_stiff(&current_cache, q, total, global_cache);
+                return self.solve_stiff(current_cache, q, total, global_cache);
             }
         }
         // One bounce says nothing about the ratio of the series: then what was asked for is all there is.
@@ -371,10 +376,16 @@ impl Bounces<'_> {
         }
     }
 
-    fn solve_stiff(&mut self, current: &[Rgb], q: f64, total: f64, global_cache: &mut [Rgb]) -> Result<(), Cancelled> {
+    fn solve_stiff(
+        &mut self,
+        current: Vec<Rgb>,
+        q: f64,
+        total: f64,
+        global_cache: &mut [Rgb],
+    ) -> Result<(), Cancelled> {
         // A set of its own, the same for all steps: the operator must not change under the iteration.
         let directions = self.settings.set.directions(self.settings.stiff_directions, u32::MAX - 1);
-        let source = self.radiosity(current);
+        let source = self.reflected(current);
         let (sweep, grey, progress) = (&self.sweep, self.grey, self.progress);
         let operator = |radiosity: &[Rgb]| sweep.apply(&directions, radiosity, None, grey, progress);
         let rest = stiff::solve(self.sweep.surfels(), &source, q, total, self.settings.tolerance, operator)?;

@@ -283,7 +283,7 @@ fn a_thin_wall_keeps_the_dark_room_dark() {
         let x = |i: usize| {
             let s = &surfels.list[i];
             let t = &geometry.triangles[s.triangle as usize];
-            inverse.transform_point3(geometry.frame.world(t.at(s.u, s.v))).x
+            inverse.transform_point3(geometry.frame.world(t.at(s.u(), s.v()))).x
         };
         let direct: Vec<Rgb> = (0..surfels.list.len()).map(|i| if x(i) < 1.0 { Rgb::ONE } else { Rgb::ZERO }).collect();
         let (solution, _) = solve(&surfels, &direct, &closed(), None, &Silent).unwrap();
@@ -316,4 +316,25 @@ fn an_emitter_may_ride_in_the_sweep() {
     let exact = std::f64::consts::PI * 2.0 / (1.0 - 0.5);
     let all: Vec<Rgb> = solution.direct.iter().zip(&solution.indirect).map(|(d, i)| *d + *i).collect();
     assert!((mean(&surfels, &all) / exact - 1.0).abs() < 2e-3, "{}", mean(&surfels, &all) / exact);
+}
+
+#[test]
+fn two_white_rooms_with_a_door_have_two_slow_modes() {
+    let mut scene = two_rooms(0.2, true);
+    scene.materials[0].base_color = Vec3::splat(0.99).extend(1.0);
+    let scene = tilted(scene);
+    let geometry = Geometry::new(&scene);
+    let surfels = voxelized(&geometry, 48);
+    // Only the far wall of one room is lit.
+    let lowest = surfels.list.iter().map(|s| s.centroid.x).fold(f32::INFINITY, f32::min);
+    let lit = |s: &Surfel| if s.centroid.x < lowest + 400.0 { Rgb::ONE } else { Rgb::ZERO };
+    let direct: Vec<Rgb> = surfels.list.iter().map(lit).collect();
+    let settings = SolveSettings { tolerance: 1e-3, ..closed() };
+    let (solution, report) = solve(&surfels, &direct, &settings, None, &Silent).unwrap();
+    let tight = SolveSettings { tolerance: 1e-6, ..closed() };
+    let (exact, _) = solve(&surfels, &direct, &tight, None, &Silent).unwrap();
+    let error = mean(&surfels, &solution.indirect) / mean(&surfels, &exact.indirect) - 1.0;
+    println!("{} stiff steps, error {error:+.5}", report.stiff_steps);
+    assert!(report.stiff_steps <= 16, "{}", report.stiff_steps);
+    assert!(error.abs() < 2e-3, "{error}");
 }

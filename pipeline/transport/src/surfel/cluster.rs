@@ -2,8 +2,8 @@
 
 use glam::{DVec3, IVec3};
 
-use super::{Grid, Surfel, fill, fragment::Fragment};
-use crate::geometry::Geometry;
+use super::{Grid, Patch, fill, fragment::Fragment};
+use crate::{Rgb, geometry::Geometry};
 
 /// Fragments whose normals have a larger cosine share a surfel.
 const COSINE: f64 = 0.9;
@@ -73,17 +73,16 @@ impl Cluster {
         (self.covered > SLIVER).then_some(self)
     }
 
-    fn surfel(&self, grid: &Grid, voxel: IVec3, fill: f64) -> Surfel {
+    fn patch(&self, grid: &Grid, voxel: IVec3, fill: f64) -> Patch {
         let edge = f64::from(grid.edge);
         let lo = voxel.as_dvec3();
         let centroid = self.centroid.clamp(lo, lo + 1.0);
-        Surfel {
+        Patch {
             voxel,
             centroid: (grid.origin.as_dvec3() + edge * centroid).as_vec3(),
             normal: self.normal.as_vec3(),
             area: (self.covered * edge * edge) as f32,
             albedo: (self.albedo / self.covered).as_vec3(),
-            emission: (self.emission / self.covered).as_vec3(),
             fill: (fill * self.opaque / self.area) as f32,
             triangle: self.triangle,
             u: self.u,
@@ -93,8 +92,9 @@ impl Cluster {
     }
 }
 
-/// The surfels of one voxel from its fragments, which come in the order of their triangles.
-pub fn surfels(geometry: &Geometry, grid: &Grid, fragments: &[Fragment], out: &mut Vec<Surfel>) {
+/// The surfels of one voxel from its fragments, which come in the order of their triangles, each with the radiance
+/// that it emits.
+pub fn surfels(geometry: &Geometry, grid: &Grid, fragments: &[Fragment], mut out: impl FnMut(Patch, Rgb)) {
     let Some(voxel) = fragments.first().map(|f| f.voxel) else { return };
     let mut clusters: Vec<Cluster> = Vec::new();
     for f in fragments {
@@ -106,7 +106,8 @@ pub fn surfels(geometry: &Geometry, grid: &Grid, fragments: &[Fragment], out: &m
     }
     let clusters: Vec<Cluster> = clusters.into_iter().filter_map(Cluster::finish).collect();
     for (i, cluster) in clusters.iter().enumerate() {
-        out.push(cluster.surfel(grid, voxel, fill::fraction(voxel, &clusters, i)));
+        let emission = (cluster.emission / cluster.covered).as_vec3();
+        out(cluster.patch(grid, voxel, fill::fraction(voxel, &clusters, i)), emission);
     }
 }
 

@@ -11,7 +11,7 @@ pub fn replace_areas(surfels: &mut Surfels) {
     let areas: Vec<f32> = (0..surfels.list.len())
         .map(|i| {
             let s = &surfels.list[i];
-            let free = |step: &IVec3| surfels.in_voxel(s.voxel + *step).is_empty();
+            let free = |step: &IVec3| surfels.in_voxel(s.voxel() + *step).is_empty();
             let steps = [IVec3::X, IVec3::Y, IVec3::Z, IVec3::NEG_X, IVec3::NEG_Y, IVec3::NEG_Z];
             steps.iter().filter(|step| free(step)).map(|step| step.as_vec3().dot(s.normal).max(0.0) * face).sum()
         })

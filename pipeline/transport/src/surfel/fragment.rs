@@ -3,7 +3,7 @@
 use glam::{DVec3, IVec3, Vec3};
 use luxel_scene::{Alpha, Material, Surface};
 
-use super::{Grid, polygon::Polygon};
+use super::{Grid, polygon::Polygon, record::holdable};
 use crate::{Rgb, geometry::Geometry};
 
 /// Points at which a material with holes is looked up within a fragment; the footprints of all of them cover it.
@@ -53,11 +53,16 @@ enum Look {
     Holes(f64),
 }
 
+/// The corners of a triangle in voxel units.
+pub fn corners(geometry: &Geometry, grid: &Grid, triangle: u32) -> [DVec3; 3] {
+    let (origin, edge) = (grid.origin.as_dvec3(), f64::from(grid.edge));
+    geometry.triangles[triangle as usize].corners.map(|p| (p.as_dvec3() - origin) / edge)
+}
+
 impl<'a, 'g> Cutter<'a, 'g> {
-    pub fn new(geometry: &'a Geometry<'g>, grid: &Grid, triangle: u32) -> Self {
+    /// A triangle with its [`corners`].
+    pub fn new(geometry: &'a Geometry<'g>, triangle: u32, corners: [DVec3; 3]) -> Self {
         let t = &geometry.triangles[triangle as usize];
-        let (origin, edge) = (grid.origin.as_dvec3(), f64::from(grid.edge));
-        let corners = t.corners.map(|p| (p.as_dvec3() - origin) / edge);
         let mesh = &geometry.scene.meshes[geometry.scene.instances[t.instance as usize].mesh];
         let material = geometry.material(triangle);
         let look = if !is_textured(material) && mesh.colors.is_empty() {
@@ -68,10 +73,6 @@ impl<'a, 'g> Cutter<'a, 'g> {
             if matches!(material.alpha, Alpha::Mask(_)) { Look::Holes(density) } else { Look::Smooth(density) }
         };
         Self { geometry, triangle, corners, look }
-    }
-
-    pub fn polygon(&self) -> Polygon {
-        Polygon::new(&self.corners)
     }
 
     /// The fragment of a piece of this triangle; None where nothing of it is there.
@@ -113,7 +114,9 @@ impl<'a, 'g> Cutter<'a, 'g> {
         let (mut albedo, mut emission, mut pass, mut coverage) = (Vec3::ZERO, Vec3::ZERO, Vec3::ZERO, 0.0);
         let points = piece.points(HOLE_SAMPLES);
         for &p in &points {
+            // The very point that the surfel will hold: what is tested here is what shadow rays start from.
             let (u, v) = self.barycentric(p);
+            let (u, v) = holdable(u, v);
             // A cut-off is a step: what counts is the share of points that pass it, not an average of alpha.
             let s = self.look_up(u, v, 0.0);
             if s.coverage > 0.0 {

@@ -10,19 +10,23 @@
 //! surface from its front sees black. Holes of a masked material carry no area; a veil carries its coverage, and
 //! [`Surfel::fill`] tells which share of the lines it stops. Surfaces that are unlit or do not cast give none.
 
+mod blocks;
 mod cluster;
 mod face_count;
 mod fill;
 mod fragment;
 mod polygon;
+mod record;
 mod voxelize;
 
+use bytemuck::{Pod, Zeroable};
 use glam::{IVec3, Vec3};
 use luxel_scene::Progress;
 
 use crate::{Rgb, geometry::Geometry};
 
 pub use cluster::MAX_PER_VOXEL;
+pub use record::{Patch, Surfel};
 pub use voxelize::{MAX_SIDE, MAX_SURFELS, SurfelError};
 
 /// A regular grid over the normalised frame.
@@ -47,36 +51,23 @@ impl Grid {
     }
 }
 
-/// One oriented patch of surface in one voxel. Lengths are in frame units.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Surfel {
-    pub voxel: IVec3,
-    /// Area-weighted centroid of the clipped fragments; on a curved surface it lies slightly under it.
-    pub centroid: Vec3,
-    /// Unit area-weighted normal.
-    pub normal: Vec3,
-    /// Exact clipped area (times coverage), squared frame units.
-    pub area: f32,
-    /// Area-weighted Lambertian albedo ρ.
-    pub albedo: Rgb,
-    /// Area-weighted emitted radiance Lₑ [cd/m²].
-    pub emission: Rgb,
-    /// Share of its plane within the voxel that the surfel fills times its opacity, in (0, 1]: the share of the lines
-    /// through that plane that it stops.
-    pub fill: f32,
-    /// A point on a real triangle of the surfel, for shadow rays: triangle, barycentric u and v, and whether the
-    /// surfel is the triangle's back side.
-    pub triangle: u32,
-    pub u: f32,
-    pub v: f32,
-    pub back: bool,
-}
-
 /// All surfels of a scene, sorted by voxel (x, then y, then z), then by a stable order within the voxel.
 #[derive(Clone, Debug)]
 pub struct Surfels {
     pub grid: Grid,
     pub list: Vec<Surfel>,
+    /// What surfels emit, sorted by surfel; those that are not named emit nothing.
+    pub emission: Vec<Emission>,
+}
+
+/// What one surfel emits.
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+#[repr(C)]
+pub struct Emission {
+    /// Index in [`Surfels::list`].
+    pub surfel: u32,
+    /// Area-weighted emitted radiance Lₑ [cd/m²].
+    pub radiance: Rgb,
 }
 
 /// How fine the voxels are.
@@ -137,11 +128,22 @@ impl Surfels {
         Ok(surfels)
     }
 
+    /// Surfels that emit nothing, in the order that [`Surfels`] asks for.
+    pub fn dark(grid: Grid, list: Vec<Surfel>) -> Self {
+        Self { grid, list, emission: Vec::new() }
+    }
+
+    /// The radiance Lₑ [cd/m²] that a surfel emits.
+    pub fn emission(&self, surfel: usize) -> Rgb {
+        let found = self.emission.binary_search_by_key(&surfel, |e| e.surfel as usize);
+        found.ok().and_then(|at| self.emission.get(at)).map_or(Rgb::ZERO, |e| e.radiance)
+    }
+
     /// The surfels of a voxel, as a range of [`Surfels::list`].
     pub fn in_voxel(&self, voxel: IVec3) -> std::ops::Range<usize> {
         let key = voxel.to_array();
-        let start = self.list.partition_point(|s| s.voxel.to_array() < key);
-        let count = self.list[start..].iter().take_while(|s| s.voxel == voxel).count();
+        let start = self.list.partition_point(|s| s.voxel().to_array() < key);
+        let count = self.list[start..].iter().take_while(|s| s.voxel() == voxel).count();
         start..start + count
     }
 

@@ -1,19 +1,13 @@
-//! Voxelization: triangles are cut at the planes of a grid, slab by slab.
+//! Voxelization: where the grid lies, and how fine it is.
 //!
 //! The grid is shifted by an irrational fraction of a voxel, so that the walls of axis-aligned scenes do not lie on
-//! voxel borders, where rounding would split them. Slabs of slices are independent of each other, bound the memory
-//! of fragments, and are put together in order: the result does not depend on the number of threads. Memory follows
-//! the surface, never the volume.
+//! voxel borders, where rounding would split them. Triangles are cut at its planes block by block ([`blocks`]); memory
+//! follows the surface, never the volume.
 
 use glam::{DVec3, IVec3, Vec3};
 use luxel_scene::{Cancelled, Progress};
-use rayon::prelude::*;
 
-use super::{
-    Grid, Resolution, Surfel, Surfels, cluster,
-    fragment::{Cutter, Fragment},
-    polygon::{Polygon, slice},
-};
+use super::{Grid, Resolution, Surfels, blocks};
 use crate::geometry::Geometry;
 
 /// Voxels along the longest side, at most: the sweep's table of lines grows with its square.
@@ -27,9 +21,6 @@ pub const MAX_SURFELS: usize = 1 << 26;
 
 /// Shift of the grid in voxels.
 const OFFSET: DVec3 = DVec3::new(0.47, 0.53, 0.59);
-
-/// Slices per slab, at most.
-const SLAB: usize = 8;
 
 /// Why a scene has no surfels.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -51,7 +42,7 @@ pub fn voxelize(geometry: &Geometry, resolution: Resolution, progress: &dyn Prog
     let solid = solid_triangles(geometry);
     let Some((lo, hi)) = bounds(geometry, &solid) else {
         let grid = Grid { origin: Vec3::ZERO, edge: 1.0, size: IVec3::ZERO };
-        return Ok(Surfels { grid, list: Vec::new() });
+        return Ok(Surfels::dark(grid, Vec::new()));
     };
     let longest = (hi - lo).max_element().max(f64::from(f32::MIN_POSITIVE));
     match resolution {
@@ -119,80 +110,5 @@ fn at_edge(
     let edge = edge as f32;
     let origin = (lo - OFFSET * f64::from(edge)).as_vec3();
     let size = ((hi - origin.as_dvec3()) / f64::from(edge)).floor().as_ivec3() + 1;
-    let grid = Grid { origin, edge, size };
-    let width = (size.x as usize / 64).clamp(1, SLAB);
-    let bins = bin(geometry, &grid, solid, width);
-    progress.begin("voxelize", bins.len() as u64);
-    let slabs: Result<Vec<Vec<Surfel>>, SurfelError> = bins
-        .par_iter()
-        .enumerate()
-        .map(|(i, triangles)| {
-            progress.check()?;
-            let slab = surfels_of_slab(geometry, &grid, triangles, i * width, width);
-            progress.advance(1);
-            Ok(slab)
-        })
-        .collect();
-    let slabs = slabs?;
-    if slabs.iter().map(Vec::len).sum::<usize>() > MAX_SURFELS {
-        return Err(SurfelError::TooMany);
-    }
-    Ok(Surfels { grid, list: slabs.into_iter().flatten().collect() })
-}
-
-/// The triangles that touch each slab.
-fn bin(geometry: &Geometry, grid: &Grid, solid: &[u32], width: usize) -> Vec<Vec<u32>> {
-    let mut bins = vec![Vec::new(); (grid.size.x as usize).div_ceil(width)];
-    let last = bins.len() - 1;
-    for &i in solid {
-        let x = geometry.triangles[i as usize].corners.map(|p| {
-            let x = (f64::from(p.x) - f64::from(grid.origin.x)) / f64::from(grid.edge);
-            (x.max(0.0) as usize / width).min(last)
-        });
-        let (lo, hi) = (x[0].min(x[1]).min(x[2]), x[0].max(x[1]).max(x[2]));
-        bins[lo..=hi].iter_mut().for_each(|bin| bin.push(i));
-    }
-    bins
-}
-
-fn surfels_of_slab(geometry: &Geometry, grid: &Grid, triangles: &[u32], start: usize, width: usize) -> Vec<Surfel> {
-    let mut fragments: Vec<Fragment> = Vec::new();
-    for &triangle in triangles {
-        let cutter = Cutter::new(geometry, grid, triangle);
-        if let Some(part) = within_slab(cutter.polygon(), grid, start, width) {
-            cut(&cutter, part, grid, start as i32, (start + width) as i32 - 1, &mut fragments);
-        }
-    }
-    fragments.sort_unstable_by_key(Fragment::key);
-    let mut surfels = Vec::new();
-    for voxel in fragments.chunk_by(|a, b| a.voxel == b.voxel) {
-        cluster::surfels(geometry, grid, voxel, &mut surfels);
-    }
-    surfels
-}
-
-/// The part of a polygon within a slab; the first and the last slab keep what rounding puts beyond the grid.
-fn within_slab(polygon: Polygon, grid: &Grid, start: usize, width: usize) -> Option<Polygon> {
-    let end = start + width;
-    let (lo, hi) = polygon.range(0);
-    let mut part = polygon;
-    if start > 0 && lo < start as f64 {
-        part = part.split(0, start as f64).1;
-    }
-    if end < grid.size.x as usize && hi > end as f64 {
-        part = part.split(0, end as f64).0;
-    }
-    // A polygon in the plane between two slabs belongs to the upper one, as `floor` says.
-    let in_upper_plane = end < grid.size.x as usize && lo >= end as f64;
-    (part.corners().len() >= 3 && !in_upper_plane).then_some(part)
-}
-
-fn cut(cutter: &Cutter, part: Polygon, grid: &Grid, lo: i32, hi: i32, out: &mut Vec<Fragment>) {
-    slice(part, 0, lo, hi.min(grid.size.x - 1), |x, part| {
-        slice(part, 1, 0, grid.size.y - 1, |y, part| {
-            slice(part, 2, 0, grid.size.z - 1, |z, piece| {
-                out.extend(cutter.fragment(IVec3::new(x, y, z), &piece));
-            });
-        });
-    });
+    blocks::surfels(geometry, Grid { origin, edge, size }, solid, progress)
 }

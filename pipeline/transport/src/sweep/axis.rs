@@ -62,7 +62,7 @@ pub fn order(surfels: &Surfels, planes: &Planes, axis: usize) -> Vec<u32> {
     let list = &surfels.list;
     // Surfels of a shared voxel have to stay together and in the list's order; the list is sorted by voxel.
     let shares = |i: usize| {
-        let same = |j: usize| list.get(j).is_some_and(|other| other.voxel == list[i].voxel);
+        let same = |j: usize| list.get(j).is_some_and(|other| other.voxel() == list[i].voxel());
         same(i + 1) || i > 0 && same(i - 1)
     };
     let count = planes.normals.len();
@@ -70,13 +70,13 @@ pub fn order(surfels: &Surfels, planes: &Planes, axis: usize) -> Vec<u32> {
         let i = i as usize;
         if shares(i) {
             // By the plane of the voxel's first surfel: the voxels of an edge have the same planes.
-            let first = (0..i).rev().take_while(|&j| list[j].voxel == list[i].voxel).last().unwrap_or(i);
+            let first = (0..i).rev().take_while(|&j| list[j].voxel() == list[i].voxel()).last().unwrap_or(i);
             2 * count + planes.of[first] as usize
         } else {
-            2 * planes.of[i] as usize + usize::from(list[i].fill < 1.0)
+            2 * planes.of[i] as usize + usize::from(list[i].fill() < 1.0)
         }
     };
-    let along = |axis: usize| move |i: u32| list[i as usize].voxel[axis] as usize;
+    let along = |axis: usize| move |i: u32| list[i as usize].voxel()[axis] as usize;
     let size = surfels.grid.size;
     let mut order: Vec<u32> = (0..list.len() as u32).collect();
     // Neighbours in the table of lines are neighbours in a patch.
@@ -125,16 +125,16 @@ impl AxisCopy {
         let mut begins = true;
         for (k, &i) in order.iter().enumerate() {
             let s = &surfels.list[i as usize];
-            let voxel = s.voxel.to_array();
+            let voxel = s.voxel().to_array();
             let (x, y, z) = (voxel[axis], voxel[(axis + 1) % 3], voxel[(axis + 2) % 3]);
             while copy.slices.len() <= x as usize {
                 copy.begin_slice();
                 begins = true;
             }
-            let shares = order.get(k + 1).is_some_and(|&next| surfels.list[next as usize].voxel == s.voxel);
+            let shares = order.get(k + 1).is_some_and(|&next| surfels.list[next as usize].voxel() == s.voxel());
             let plane = planes.of[i as usize];
             if !shares && !shared_before {
-                let partial = s.fill < 1.0;
+                let partial = s.fill() < 1.0;
                 let continues =
                     !begins && copy.patches.last().is_some_and(|p| (p.plane, p.partial) == (plane, partial));
                 if !continues {
@@ -147,10 +147,10 @@ impl AxisCopy {
             let centroid = surfels.grid.local(s.centroid);
             let flag = if shares { SHARES_VOXEL } else { 0 };
             copy.keys.push((y as u32 * stride + z as u32) | flag);
-            copy.center_heights.push(planes.normals[plane as usize].dot(s.voxel.as_vec3() + 0.5 - centroid));
+            copy.center_heights.push(planes.normals[plane as usize].dot(s.voxel().as_vec3() + 0.5 - centroid));
             copy.planes.push(plane);
             copy.centroids.push(turn(centroid));
-            copy.fill.push((s.fill.clamp(0.0, 1.0) * 65535.0).ceil() as u16);
+            copy.fill.push(s.fill_steps());
         }
         while copy.slices.len() <= size[0] as usize {
             copy.begin_slice();

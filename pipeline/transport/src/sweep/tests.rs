@@ -155,8 +155,8 @@ fn a_single_sided_wall_blocks_from_behind_and_is_black() {
 fn by_rays(rays: &Rays, surfels: &Surfels, i: usize, radiosity: &dyn Fn(usize) -> f32, count: u32) -> f64 {
     let s = &surfels.list[i];
     let t = &rays.geometry.triangles[s.triangle as usize];
-    let normal = if s.back { -t.normal } else { t.normal };
-    let origin = t.at(s.u, s.v) + normal * OFFSET;
+    let normal = if s.back() { -t.normal } else { t.normal };
+    let origin = t.at(s.u(), s.v()) + normal * OFFSET;
     let basis = sampling::basis(normal);
     let shift = sampling::unit2(sampling::mix(i as u64));
     let mut sum = 0.0;
@@ -242,7 +242,7 @@ fn orders_go_slice_by_slice_and_keep_voxels_together() {
     let planes = Planes::new(&surfels);
     for axis in 0..3 {
         let order = axis::order(&surfels, &planes, axis);
-        let voxel = |i: &u32| surfels.list[*i as usize].voxel;
+        let voxel = |i: &u32| surfels.list[*i as usize].voxel();
         assert!(order.is_sorted_by_key(|i| voxel(i)[axis]));
         let mut runs: Vec<_> = order.chunk_by(|a, b| voxel(a) == voxel(b)).map(|run| voxel(&run[0])).collect();
         let count = runs.len();

@@ -7,7 +7,7 @@ use luxel_transport::{
     Rgb,
     gather::{Receiver, nodes::Cell},
     geometry::Geometry,
-    surfel::{Grid, Solution, Surfel, Surfels},
+    surfel::{Grid, Patch, Solution, Surfel, Surfels},
 };
 
 /// An inward room [−1, 1]³ with walls of one albedo.
@@ -40,8 +40,8 @@ pub fn surfels(geometry: &Geometry, n: u32) -> Surfels {
     for first in (0..geometry.triangles.len() as u32).step_by(2) {
         tessellate(geometry, first, origin, edge, &mut list);
     }
-    list.sort_by_key(|s: &Surfel| s.voxel.to_array());
-    Surfels { grid: Grid { origin, edge, size }, list }
+    list.sort_by_key(|s: &Surfel| s.voxel().to_array());
+    Surfels::dark(Grid { origin, edge, size }, list)
 }
 
 fn tessellate(geometry: &Geometry, first: u32, origin: Vec3, edge: f32, list: &mut Vec<Surfel>) {
@@ -69,19 +69,18 @@ fn tessellate(geometry: &Geometry, first: u32, origin: Vec3, edge: f32, list: &m
             let sides = if geometry.material(triangle).double_sided { 2 } else { 1 };
             for side in 0..sides {
                 let back = side == 1;
-                list.push(Surfel {
+                list.push(Surfel::from(Patch {
                     voxel,
                     centroid,
                     normal: if back { -pair[0].normal } else { pair[0].normal },
                     area: area * surface.coverage,
                     albedo: surface.albedo,
-                    emission: surface.emission,
                     fill: area / (edge * edge),
                     triangle,
                     u,
                     v,
                     back,
-                });
+                }));
             }
         }
     }
@@ -112,7 +111,7 @@ pub fn solution(surfels: &Surfels, irradiance: impl Fn(Vec3, Vec3) -> Rgb) -> So
 /// A receiver every `step` surfels, on the surface and off the surfel's middle.
 pub fn receivers(geometry: &Geometry, surfels: &Surfels, step: usize) -> Vec<Receiver> {
     let at = |(i, s): (usize, &Surfel)| {
-        let (u, v) = (0.93 * s.u + 0.02, 0.93 * s.v + 0.03);
+        let (u, v) = (0.93 * s.u() + 0.02, 0.93 * s.v() + 0.03);
         Receiver::on_triangle(geometry, s.triangle, u, v, surfels.grid.edge, i as u64)
     };
     surfels.list.iter().enumerate().step_by(step).map(at).collect()

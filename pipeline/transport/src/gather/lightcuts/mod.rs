@@ -218,7 +218,7 @@ fn median(seen: &[Rgb]) -> Rgb {
 fn mean_radiosity(field: &Field) -> f32 {
     let (mut power, mut area) = (0.0f64, 0.0f64);
     for (i, surfel) in field.surfels.list.iter().enumerate() {
-        let radiosity = surfel.albedo * (field.solution.direct[i] + field.solution.indirect[i]);
+        let radiosity = surfel.albedo() * (field.solution.direct[i] + field.solution.indirect[i]);
         power += f64::from(radiosity.element_sum() / 3.0 * surfel.area);
         area += f64::from(surfel.area);
     }
@@ -230,7 +230,7 @@ fn is_closed(field: &Field) -> bool {
     let (most, rays) = PROBES;
     let reflects = |i: &usize| {
         let (s, solution) = (&field.surfels.list[*i], field.solution);
-        (s.albedo * (solution.direct[*i] + solution.indirect[*i])).max_element() > 0.0
+        (s.albedo() * (solution.direct[*i] + solution.indirect[*i])).max_element() > 0.0
     };
     let lit: Vec<usize> = (0..field.surfels.list.len()).filter(reflects).collect();
     let hemisphere = Hemisphere::new(rays);
