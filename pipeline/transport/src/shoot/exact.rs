@@ -12,6 +12,7 @@ use crate::{
     Rgb,
     gather::{Gather, Receiver},
     geometry::Geometry,
+    lighttree::identity,
     sampling::{basis, combine},
     surfel::{Grid, Surfel, Surfels},
 };
@@ -77,7 +78,8 @@ fn push_receivers(geometry: &Geometry, grid: &Grid, surfel: &Surfel, points: u32
         normal,
         shading_normal: normal,
         footprint: surfel.area.sqrt(),
-        seed: combine(combine(u64::from(surfel.triangle), u64::from(surfel.u.to_bits())), i),
+        // The surfel's own identity: an edit of another mesh, which renumbers triangles, changes nobody's noise.
+        seed: combine(identity(surfel), i),
     };
     let center = triangle.at(surfel.u, surfel.v);
     out.push(at(center, 0));
