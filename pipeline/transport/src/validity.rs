@@ -103,19 +103,20 @@ pub fn sides(rays: &Rays, receiver: &Receiver) -> Sides {
     if !(receiver.position.is_finite() && receiver.normal.is_normalized()) {
         return Sides::default();
     }
-    // The free places of each side.
-    let mut sides: Vec<Vec<Receiver>> = Vec::new();
-    for place in places(receiver) {
+    // The free places of each side by their number, which grows with the distance. Where distances are equal, rounding
+    // must not choose.
+    let mut sides: Vec<Vec<(u32, Receiver)>> = Vec::new();
+    for (number, place) in (0..).zip(places(receiver)) {
         let moved = on_surface(rays, receiver, place).map(|position| Receiver { position, ..*receiver });
         let Some(moved) = moved.filter(|moved| !is_buried(rays, moved)) else { continue };
-        let is_near = |side: &mut Vec<Receiver>| side.iter().any(|other| see_each_other(rays, other, &moved));
-        let mut joined: Vec<Receiver> = sides.extract_if(.., is_near).flatten().collect();
-        joined.push(moved);
+        let is_near = |side: &mut Vec<(u32, Receiver)>| side.iter().any(|(_, r)| see_each_other(rays, r, &moved));
+        let mut joined: Vec<(u32, Receiver)> = sides.extract_if(.., is_near).flatten().collect();
+        joined.push((number, moved));
+        joined.sort_unstable_by_key(|(number, _)| *number);
         sides.push(joined);
     }
-    let off = |r: &Receiver| r.position.distance_squared(receiver.position);
-    let nearest = |side: &Vec<Receiver>| side.iter().copied().min_by(|a, b| off(a).total_cmp(&off(b)));
-    sides.sort_by_key(|side| std::cmp::Reverse(side.len()));
+    sides.sort_by_key(|side| (std::cmp::Reverse(side.len()), side.first().map(|(number, _)| *number)));
+    let nearest = |side: &Vec<(u32, Receiver)>| side.first().map(|(_, nearest)| *nearest);
     Sides {
         larger: sides.first().and_then(nearest),
         smaller: sides.get(1).filter(|side| side.len() >= WORTH).and_then(nearest),
