@@ -15,7 +15,7 @@ use luxel_transport::{
     rays::Rays,
     sampling::combine,
     sky_light::{self, SkyLight, SkySettings},
-    validity,
+    validity::{self, Sides},
 };
 use rayon::prelude::*;
 
@@ -70,6 +70,8 @@ struct Side<'a> {
     back: bool,
     /// Receivers that are not at their texel's point because that one is buried, by rising index.
     moved: Vec<(usize, Receiver)>,
+    /// Texels whose point is buried by something thin, with receivers on the far side of it, by rising index.
+    beyond: Vec<(usize, Receiver)>,
     light: TexelLight,
 }
 
@@ -83,6 +85,7 @@ impl<'a> Side<'a> {
             some: None,
             back: false,
             moved: Vec::new(),
+            beyond: Vec::new(),
             light,
         }
     }
@@ -100,7 +103,20 @@ impl<'a> Side<'a> {
             some: Some(some),
             back: true,
             moved: Vec::new(),
+            beyond: Vec::new(),
             light,
+        }
+    }
+
+    /// The texels of a side that stand for the far side of a thin wall too, over there.
+    fn far(&self) -> Self {
+        let number = |i: usize| self.some.as_ref().map_or(i as u32, |some| some[i]);
+        Self {
+            some: Some(self.beyond.iter().map(|(i, _)| number(*i)).collect()),
+            moved: self.beyond.iter().map(|(_, receiver)| *receiver).enumerate().collect(),
+            beyond: Vec::new(),
+            light: TexelLight::dark(self.beyond.len()),
+            ..*self
         }
     }
 
@@ -138,17 +154,18 @@ impl<'a> Side<'a> {
             progress.check()?;
             let block = first..self.len().min(first + BLOCK);
             let length = block.len();
-            let found: Vec<(usize, Option<Receiver>)> = block
+            let found: Vec<(usize, Sides)> = block
                 .into_par_iter()
                 .map(|i| (i, self.original(i)))
                 .filter(|(_, receiver)| validity::is_buried(rays, receiver))
-                .map(|(i, receiver)| (i, validity::unocclude(rays, &receiver)))
+                .map(|(i, receiver)| (i, validity::sides(rays, &receiver)))
                 .collect();
-            for (i, moved) in found {
-                match moved {
+            for (i, sides) in found {
+                match sides.larger {
                     Some(receiver) => self.moved.push((i, receiver)),
                     None => self.light.buried[i] = true,
                 }
+                self.beyond.extend(sides.smaller.map(|receiver| (i, receiver)));
             }
             progress.advance(length as u64);
         }
@@ -224,16 +241,21 @@ pub fn run(
     }
     let work = sides.iter().map(|s| s.len() as u64).sum();
     let stride = settings.node_spacing.0;
-    let nodes = (stride > 1).then(|| NodeSettings { stride, ..NodeSettings::default() });
+    let nodes = Some(NodeSettings { stride, ..NodeSettings::default() });
     journal.run(plan, Stage::Clear, Some(work), |progress, counters| {
         for side in &mut sides {
             side.clear(rays, progress)?;
         }
         let count = |f: fn(&Side) -> usize| sides.iter().map(|s| f(s) as u64).sum::<u64>();
         counters.insert("moved_texels".into(), count(|s| s.moved.len()));
+        counters.insert("two_sided_texels".into(), count(|s| s.beyond.len()));
         counters.insert("buried_texels".into(), count(|s| s.light.buried.iter().filter(|b| **b).count()));
         Ok(())
     })?;
+    // After the front itself and before its backs.
+    let far = sides[0].far();
+    sides.insert(1, far);
+    let work = sides.iter().map(|s| s.len() as u64).sum();
 
     journal.run(plan, Stage::Direct, Some(work), |progress, counters| {
         direct::with(rays, &transport.emitters, settings, |direct| {
@@ -321,7 +343,10 @@ fn gather(
     Ok(())
 }
 
-/// Lays the backs' light over the fronts' as the setting says.
+/// Lays the light of the far sides of walls over that of the fronts, then the backs' as the setting says.
+///
+/// A texel under a thin wall can hold the light of one side only, and is read on both. It takes the darker: too little
+/// light in a bright place is lost over one texel, too much in a dark one is a line many times too bright.
 fn combine_sides(sides: Vec<Side>, rule: DoubleSided) -> TexelLight {
     let mut sides = sides.into_iter();
     let mut out = sides.next().map(|s| s.light).unwrap_or_default();
@@ -329,6 +354,7 @@ fn combine_sides(sides: Vec<Side>, rule: DoubleSided) -> TexelLight {
         for (k, i) in side.some.iter().flatten().map(|i| *i as usize).enumerate() {
             let back = &side.light;
             let share = match rule {
+                _ if !side.back => f32::from(back.total(k).element_sum() < out.total(i).element_sum()),
                 // A side that lies within something has nothing to say.
                 _ if back.buried[k] => 0.0,
                 _ if out.buried[i] => 1.0,

@@ -85,15 +85,19 @@ impl Canvas {
         changed
     }
 
-    /// Owner and value that an unknown texel would take: of the lowest chart around it, the weighted mean.
+    /// Owner and value that an unknown texel would take: of the lowest chart around it, the mean of the texels beside it,
+    /// or where there are none of those at its corners. A texel beside the border is continued straight on: across a
+    /// corner may lie the far side of a wall, with light of its own.
     fn continued(&self, at: usize, may: &impl Fn(u32, u32) -> bool) -> Option<(u32, Vec3)> {
         if self.is_known(at) {
             return None;
         }
         let near = |n: &(usize, f64)| self.is_known(n.0) && may(self.owner[at], self.owner[n.0]);
         let owner = self.neighbours(at).filter(near).map(|(n, _)| self.owner[n]).min()?;
+        let own = || self.neighbours(at).filter(near).filter(|(n, _)| self.owner[*n] == owner);
+        let most = own().map(|(_, weight)| weight).fold(0.0, f64::max);
         let (mut sum, mut total) = (DVec3::ZERO, 0.0);
-        for (n, weight) in self.neighbours(at).filter(near).filter(|(n, _)| self.owner[*n] == owner) {
+        for (n, weight) in own().filter(|(_, weight)| *weight == most) {
             sum += weight * self.value[n].as_dvec3();
             total += weight;
         }
@@ -114,6 +118,18 @@ mod tests {
         assert_eq!(grown.len(), 24);
         assert!(grown.iter().all(|&n| canvas.value[n] == Vec3::splat(0.1) && canvas.owner[n] == 7));
         assert_eq!(canvas.owner.iter().filter(|&&o| o == 0).count(), 81 - 25);
+    }
+
+    #[test]
+    fn a_border_is_continued_straight_on() {
+        // A row of texels, bright on the left: what lies under the dark ones takes nothing across the corner.
+        let mut canvas = Canvas::new(4, 2);
+        for x in 0..4 {
+            (canvas.owner[x], canvas.trust[x]) = (1, 1.0);
+            canvas.value[x] = Vec3::splat(if x < 2 { 9.0 } else { 1.0 });
+        }
+        canvas.dilate(1);
+        assert_eq!(canvas.value[4..], canvas.value[..4]);
     }
 
     #[test]

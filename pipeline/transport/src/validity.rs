@@ -26,9 +26,13 @@ const NEAR: f32 = 0.7;
 const LID: f32 = -0.5;
 /// A surface that passes more than this share of the light is looked through.
 const CLEAR: f32 = 0.5;
-/// Rings of places tried by [`unocclude`], as shares of the footprint, and places on each.
+/// Rings of places tried by [`sides`], as shares of the footprint, and places on each.
 const RINGS: [f32; 3] = [0.15, 0.3, 0.45];
 const PLACES: u32 = 8;
+/// Fewest free places of a side that is worth a look, of 24.
+const WORTH: usize = 4;
+/// How far above their surface places look for each other, and places on it are looked for, as a share of the footprint.
+const LIFT: f32 = 0.1;
 
 /// For every receiver, whether it is buried.
 pub fn buried(rays: &Rays, receivers: &[Receiver]) -> Vec<bool> {
@@ -77,28 +81,66 @@ fn first_solid(rays: &Rays, origin: Vec3, direction: Vec3, max: f32) -> Option<H
     first
 }
 
-/// A receiver that is not buried: the given one, or the nearest of a few places within its footprint on the same
-/// surface, moved along it. None where all of them are buried.
+/// A receiver that is not buried: the given one, or one of a few places within its footprint on the same surface, moved
+/// along it: the nearest on the side where the most of them are free. None where all of them are buried.
 pub fn unocclude(rays: &Rays, receiver: &Receiver) -> Option<Receiver> {
-    if !is_buried(rays, receiver) {
-        return Some(*receiver);
-    }
+    if is_buried(rays, receiver) { sides(rays, receiver).larger } else { Some(*receiver) }
+}
+
+/// The sides of what buries a receiver, each with the nearest free place of its footprint there.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Sides {
+    /// The side with the most free places.
+    pub larger: Option<Receiver>,
+    /// The next one, where it has [`WORTH`] free places.
+    pub smaller: Option<Receiver>,
+}
+
+/// Where the light of a buried receiver can be taken from. A wall that stands on its footprint and is thinner than that
+/// leaves free places on two sides, whose light may have nothing in common. Places are on one side when a way leads from
+/// the one to the other, from place to place, with nothing across it a little above the surface.
+pub fn sides(rays: &Rays, receiver: &Receiver) -> Sides {
     if !(receiver.position.is_finite() && receiver.normal.is_normalized()) {
-        return None;
+        return Sides::default();
     }
+    // The free places of each side by their number, which grows with the distance. Where distances are equal, rounding
+    // must not choose.
+    let mut sides: Vec<Vec<(u32, Receiver)>> = Vec::new();
+    for (number, place) in (0..).zip(places(receiver)) {
+        let moved = on_surface(rays, receiver, place).map(|position| Receiver { position, ..*receiver });
+        let Some(moved) = moved.filter(|moved| !is_buried(rays, moved)) else { continue };
+        let is_near = |side: &mut Vec<(u32, Receiver)>| side.iter().any(|(_, r)| see_each_other(rays, r, &moved));
+        let mut joined: Vec<(u32, Receiver)> = sides.extract_if(.., is_near).flatten().collect();
+        joined.push((number, moved));
+        joined.sort_unstable_by_key(|(number, _)| *number);
+        sides.push(joined);
+    }
+    sides.sort_by_key(|side| (std::cmp::Reverse(side.len()), side.first().map(|(number, _)| *number)));
+    let nearest = |side: &Vec<(u32, Receiver)>| side.first().map(|(_, nearest)| *nearest);
+    Sides {
+        larger: sides.first().and_then(nearest),
+        smaller: sides.get(1).filter(|side| side.len() >= WORTH).and_then(nearest),
+    }
+}
+
+/// Rings of places about a receiver in its plane, from the nearest to the farthest.
+fn places(receiver: &Receiver) -> impl Iterator<Item = Vec3> {
+    let (at, size) = (receiver.position, receiver.footprint);
     let frame = sampling::basis(receiver.normal);
-    for ring in RINGS {
-        for i in 0..PLACES {
+    RINGS.into_iter().flat_map(move |ring| {
+        (0..PLACES).map(move |i| {
             let turn = std::f32::consts::TAU * i as f32 / PLACES as f32;
-            let step = Vec2::new(libm::cosf(turn), libm::sinf(turn)) * ring * receiver.footprint;
-            let place = receiver.position + frame * step.extend(0.0);
-            let moved = on_surface(rays, receiver, place).map(|position| Receiver { position, ..*receiver });
-            if let Some(moved) = moved.filter(|moved| !is_buried(rays, moved)) {
-                return Some(moved);
-            }
-        }
-    }
-    None
+            let step = Vec2::new(libm::cosf(turn), libm::sinf(turn)) * ring * size;
+            at + frame * step.extend(0.0)
+        })
+    })
+}
+
+fn see_each_other(rays: &Rays, a: &Receiver, b: &Receiver) -> bool {
+    let lift = a.normal * (LIFT * a.footprint);
+    let (from, way) = (a.position + lift, b.position - a.position);
+    let distance = way.length();
+    distance <= 0.0 || rays.transmittance(from, way / distance, distance).max_element() > CLEAR
 }
 
 /// The front that a plumb ray from `lift` above a place meets first.
@@ -111,7 +153,7 @@ fn plumb(rays: &Rays, place: Vec3, normal: Vec3, lift: f32) -> Option<Hit> {
 fn on_surface(rays: &Rays, receiver: &Receiver, place: Vec3) -> Option<Vec3> {
     let triangle = |hit: &Hit| &rays.geometry.triangles[hit.triangle as usize];
     let own = plumb(rays, receiver.position, receiver.normal, OFFSET)?;
-    let hit = plumb(rays, place, receiver.normal, 0.1 * receiver.footprint)?;
+    let hit = plumb(rays, place, receiver.normal, LIFT * receiver.footprint)?;
     let t = triangle(&hit);
     let is_same = t.instance == triangle(&own).instance && t.normal.dot(receiver.normal) > 0.9;
     is_same.then(|| t.at(hit.u, hit.v))
@@ -242,6 +284,32 @@ mod tests {
         let wall = texel(&geometry, 0.0, 1.0 - 0.1 * TEXEL);
         let moved = geometry.frame.world(unocclude(&rays, &wall).unwrap().position);
         assert!(moved.z <= 1.0 && moved.x.abs() > 0.005, "{moved}");
+    }
+
+    #[test]
+    fn a_thin_wall_has_two_sides_and_the_larger_comes_first() {
+        let (mut b, grey) = floor();
+        b.cuboid("wall", Vec3::new(-0.005, 0.0, -1.0), Vec3::new(0.005, 1.0, 1.0), grey, false);
+        let scene = b.build();
+        let geometry = Geometry::new(&scene);
+        let rays = Rays::new(&geometry);
+        for (x, is_right) in [(-0.003, false), (0.003, true)] {
+            let found = sides(&rays, &texel(&geometry, x, 0.1));
+            let at = |r: Option<Receiver>| geometry.frame.world(r.unwrap().position).x;
+            assert_eq!((at(found.larger) > 0.0, at(found.smaller) > 0.0), (is_right, !is_right));
+            assert!(at(found.larger).abs() > 0.005 && at(found.smaller).abs() > 0.005);
+        }
+    }
+
+    #[test]
+    fn what_lies_round_a_post_is_one_side() {
+        let (mut b, grey) = floor();
+        b.cuboid("post", Vec3::new(-0.005, 0.0, -0.005), Vec3::new(0.005, 1.0, 0.005), grey, false);
+        let scene = b.build();
+        let geometry = Geometry::new(&scene);
+        let rays = Rays::new(&geometry);
+        let found = sides(&rays, &texel(&geometry, 0.0, 0.0));
+        assert!(found.larger.is_some() && found.smaller.is_none(), "{found:?}");
     }
 
     #[test]

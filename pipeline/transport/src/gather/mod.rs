@@ -20,6 +20,7 @@ pub mod lookup;
 pub mod nodes;
 pub mod refresh;
 mod run;
+mod smooth;
 pub mod surfel_index;
 
 pub use field::{Field, FieldError};

@@ -9,10 +9,10 @@
 
 use glam::Vec3;
 
-use super::{Light, LightTree, Node, Seeded, left_count};
+use super::{Light, LightTree, Node, Seeded, VARIANTS, left_count, weight};
 use crate::{
     Rgb,
-    sampling::{combine, unit},
+    sampling::{combine, mix, unit},
 };
 
 /// Below this many lights a subtree is built by one thread.
@@ -35,9 +35,8 @@ struct Summary {
     area: f32,
     low: Rgb,
     high: Rgb,
-    representative: u32,
+    representatives: [u32; VARIANTS],
     weight: f32,
-    own: f32,
 }
 
 pub(super) fn build(mut lights: Vec<Seeded>, ambient: f32) -> LightTree {
@@ -65,9 +64,9 @@ pub(super) fn build(mut lights: Vec<Seeded>, ambient: f32) -> LightTree {
         place[item.id as usize] = at;
     }
     for node in &mut nodes {
-        node.representative = place[node.representative as usize];
+        node.representatives = node.representatives.map(|id| place[id as usize]);
     }
-    LightTree { lights: items.iter().map(|i| lights[i.id as usize].light).collect(), nodes }
+    LightTree { lights: items.iter().map(|i| lights[i.id as usize].light).collect(), nodes, ambient }
 }
 
 const EMPTY: Node = Node {
@@ -80,9 +79,7 @@ const EMPTY: Node = Node {
     area: 0.0,
     low: Rgb::ZERO,
     high: Rgb::ZERO,
-    representative: 0,
-    stand_in: Rgb::ZERO,
-    stand_in_area: 0.0,
+    representatives: [0; VARIANTS],
     first: 0,
     count: 0,
 };
@@ -115,7 +112,6 @@ fn split(lights: &[Seeded], ambient: f32, items: &mut [Item], nodes: &mut [Node]
     let mut go_right = || split(lights, ambient, right, right_nodes, first + middle);
     let (a, b) = if count > TASK { rayon::join(go_left, go_right) } else { (go_left(), go_right()) };
     let sum = join(lights, &a, &b);
-    let (stand_in, stand_in_area) = stand_in(lights, ambient, &sum);
     *node = Node {
         lo,
         hi,
@@ -126,9 +122,7 @@ fn split(lights: &[Seeded], ambient: f32, items: &mut [Item], nodes: &mut [Node]
         area: sum.area,
         low: sum.low,
         high: sum.high,
-        representative: sum.representative,
-        stand_in,
-        stand_in_area,
+        representatives: sum.representatives,
         first: first as u32,
         count: count as u32,
     };
@@ -158,36 +152,36 @@ fn leaf(light: &Light, ambient: f32, id: u32) -> Summary {
     } else {
         (Rgb::INFINITY, Rgb::NEG_INFINITY)
     };
-    let weight = mean(light.intensity) + ambient * light.area;
-    Summary { intensity: light.intensity, area: light.area, low, high, representative: id, weight, own: weight }
+    let weight = weight(light.intensity, light.area, ambient);
+    Summary { intensity: light.intensity, area: light.area, low, high, representatives: [id; VARIANTS], weight }
 }
 
 fn join(lights: &[Seeded], a: &Summary, b: &Summary) -> Summary {
-    let seed = |s: &Summary| lights[s.representative as usize].seed;
+    let seed = |s: &Summary| lights[s.representatives[0] as usize].seed;
+    let draws = draws(combine(seed(a), seed(b)));
     let weight = a.weight + b.weight;
     // Where all is dark nobody's choice matters.
-    let left = unit(combine(seed(a), seed(b))) * weight < a.weight;
-    let chosen = if left { a } else { b };
+    let chosen = |v: usize| if draws[v] * weight < a.weight { a } else { b };
     Summary {
         intensity: a.intensity + b.intensity,
         area: a.area + b.area,
         low: a.low.min(b.low),
         high: a.high.max(b.high),
-        representative: chosen.representative,
+        representatives: std::array::from_fn(|v| chosen(v).representatives[v]),
         weight,
-        own: chosen.own,
     }
 }
 
-/// Intensity and area that a node's representative stands for.
-fn stand_in(lights: &[Seeded], ambient: f32, sum: &Summary) -> (Rgb, f32) {
-    if ambient <= 0.0 {
-        return (sum.intensity, sum.area);
+/// A number in [0, 1) for every variant: one in each of as many equal strata, in an order drawn by the seed.
+fn draws(seed: u64) -> [f32; VARIANTS] {
+    let mut order: [usize; VARIANTS] = std::array::from_fn(|v| v);
+    let mut bits = mix(seed);
+    for last in (1..VARIANTS).rev() {
+        order.swap(last, ((bits & 0xff) as usize * (last + 1)) >> 8);
+        bits >>= 8;
     }
-    let light = &lights[sum.representative as usize].light;
-    // All lights have a weight where there is an ambient part and every light an area; a dark one without is never chosen.
-    let inverse = if sum.own > 0.0 { sum.weight / sum.own } else { 0.0 };
-    (light.intensity * inverse, light.area * inverse)
+    let jitter = unit(seed);
+    order.map(|stratum| (stratum as f32 + jitter) * (1.0 / VARIANTS as f32))
 }
 
 /// The cone about the mean normal.
@@ -209,7 +203,7 @@ mod tests {
     use super::*;
     use crate::{
         lighttree::Cluster,
-        sampling::{mix, sphere, unit2},
+        sampling::{sphere, unit2},
     };
 
     fn cloud(n: u64) -> Vec<Seeded> {
@@ -239,7 +233,7 @@ mod tests {
             let mut lights = Vec::new();
             below(&tree, Cluster::Node(i as u32), &mut lights);
             assert_eq!(lights.len(), node.count as usize);
-            assert!(lights.contains(&node.representative));
+            assert!(node.representatives.iter().all(|r| lights.contains(r)));
             let lights: Vec<&Light> = lights.iter().map(|&l| &tree.lights[l as usize]).collect();
             let sum: Rgb = lights.iter().map(|l| l.intensity).sum();
             assert!(sum.abs_diff_eq(node.intensity, 1e-4 * sum.max_element()));
@@ -267,7 +261,7 @@ mod tests {
             pair[0].seed = mix(2 * i);
             pair[1].seed = mix(2 * i + 1);
             let tree = LightTree::new(pair, 0.0);
-            tree.lights[tree.nodes[0].representative as usize].intensity.x > 2.0
+            tree.lights[tree.nodes[0].representatives[i as usize % VARIANTS] as usize].intensity.x > 2.0
         });
         let share = bright.count() as f64 / pairs as f64;
         // Five standard deviations of a binomial share.
@@ -281,10 +275,11 @@ mod tests {
         for run in 0..trees {
             let mut lights = cloud(9);
             lights.iter_mut().for_each(|l| l.seed = mix(l.seed ^ mix(run)));
-            let node = LightTree::new(lights, 0.6).nodes[0];
-            intensity += f64::from(node.stand_in.x / node.intensity.x);
-            square += f64::from(node.stand_in.x / node.intensity.x).powi(2);
-            area += f64::from(node.stand_in_area / node.area);
+            let tree = LightTree::new(lights, 0.6);
+            let (node, stand_in) = (&tree.nodes[0], tree.stand_in(0, run as usize % VARIANTS));
+            intensity += f64::from(stand_in.0.x / node.intensity.x);
+            square += f64::from(stand_in.0.x / node.intensity.x).powi(2);
+            area += f64::from(stand_in.1 / node.area);
         }
         let n = trees as f64;
         let error = ((square / n - (intensity / n).powi(2)) / n).sqrt();

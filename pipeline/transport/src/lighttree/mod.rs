@@ -13,6 +13,11 @@
 //! where only intensity matters (then the exact sums stand for themselves, as in the paper), the mean radiosity of
 //! the scene where a control variate also needs the area that is covered.
 //!
+//! One choice of representatives would give all receivers of a region the same error, which no average over receivers
+//! takes away. So every node has a representative in each of [`VARIANTS`] variants of the tree, and a receiver's seed
+//! tells which variant it sees. At every node the variants divide between the two halves as exactly as their number
+//! allows (each draws from its own stratum), so that their mean is close to the truth.
+//!
 //! There are two trees: *indirect* over all surfels (B = ρE, dark ones included: they cover part of the hemisphere,
 //! which the control variate of [`crate::gather::lightcuts`] needs to know), and *direct* over samples of emissive
 //! surfaces. The root that joins them is no useful cluster, so a cut starts with both trees' own roots.
@@ -30,7 +35,7 @@ use crate::{
     Rgb,
     geometry::Geometry,
     rays::OFFSET,
-    sampling::combine,
+    sampling::{combine, mix},
     surfel::{Solution, Surfel, Surfels},
 };
 
@@ -72,10 +77,8 @@ pub struct Node {
     /// Least and largest radiosity B, band by band, of the lights that have an area.
     pub low: Rgb,
     pub high: Rgb,
-    /// The light j that stands for all, and what its kernel is multiplied by: Iⱼ/pⱼ and Aⱼ/pⱼ, or the sums.
-    pub representative: u32,
-    pub stand_in: Rgb,
-    pub stand_in_area: f32,
+    /// The light j that stands for all, in each variant of the tree.
+    pub representatives: [u32; VARIANTS],
     first: u32,
     count: u32,
 }
@@ -94,6 +97,8 @@ pub struct LightTree {
     /// In the tree's order.
     pub lights: Vec<Light>,
     pub nodes: Vec<Node>,
+    /// The ambient radiosity β.
+    ambient: f32,
 }
 
 impl LightTree {
@@ -141,13 +146,32 @@ impl LightTree {
         [part(first, left, node + 1), part(first + left, count - left, node + left)]
     }
 
-    /// The light that stands for a cluster.
-    pub fn representative(&self, cluster: Cluster) -> u32 {
-        match cluster {
-            Cluster::Light(light) => light,
-            Cluster::Node(node) => self.nodes[node as usize].representative,
+    /// What the kernel of a node's representative is multiplied by: Iⱼ/pⱼ and Aⱼ/pⱼ, or the sums where β = 0.
+    #[inline]
+    pub fn stand_in(&self, node: u32, variant: usize) -> (Rgb, f32) {
+        let node = &self.nodes[node as usize];
+        if self.ambient <= 0.0 {
+            return (node.intensity, node.area);
         }
+        let light = &self.lights[node.representatives[variant] as usize];
+        let own = weight(light.intensity, light.area, self.ambient);
+        // Every light with an area has a weight where there is an ambient part; one without any is never chosen.
+        let inverse = if own > 0.0 { weight(node.intensity, node.area, self.ambient) / own } else { 0.0 };
+        (light.intensity * inverse, light.area * inverse)
     }
+}
+
+/// Number of variants of a tree.
+pub const VARIANTS: usize = 8;
+
+/// The variant of a tree that a receiver with this seed sees.
+pub fn variant(seed: u64) -> usize {
+    (mix(seed ^ 0x7a31) % VARIANTS as u64) as usize
+}
+
+/// A light's share in the choice of representatives, before it is divided by the sum: I + β·A, band mean.
+fn weight(intensity: Rgb, area: f32, ambient: f32) -> f32 {
+    intensity.element_sum() / 3.0 + ambient * area
 }
 
 fn left_count(count: usize) -> usize {

@@ -12,6 +12,7 @@ use crate::{
     Rgb,
     gather::{Gather, Receiver},
     geometry::Geometry,
+    lighttree::identity,
     sampling::{basis, combine},
     surfel::{Grid, Surfel, Surfels},
 };
@@ -72,14 +73,13 @@ fn spread(c: u64) -> u64 {
 fn push_receivers(geometry: &Geometry, grid: &Grid, surfel: &Surfel, points: u32, out: &mut Vec<Receiver>) {
     let triangle = &geometry.triangles[surfel.triangle as usize];
     let normal = if surfel.back() { -triangle.normal } else { triangle.normal };
-    let place = u64::from(surfel.u().to_bits()) << 32 | u64::from(surfel.v().to_bits());
-    let seed = combine(u64::from(surfel.triangle), place);
     let at = |position: Vec3, i: u64| Receiver {
         position,
         normal,
         shading_normal: normal,
         footprint: surfel.area.sqrt(),
-        seed: combine(seed, i),
+        // The surfel's own identity: an edit of another mesh, which renumbers triangles, changes nobody's noise.
+        seed: combine(identity(surfel), i),
     };
     let center = triangle.at(surfel.u(), surfel.v());
     out.push(at(center, 0));

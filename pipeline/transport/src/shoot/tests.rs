@@ -1,11 +1,12 @@
 use std::f64::consts::PI;
 
 use glam::{IVec3, Vec3};
-use luxel_scene::{LightKind, Material, Scene, Silent, build::Builder};
+use luxel_scene::{Cancelled, LightKind, Material, Progress, Scene, Silent, build::Builder};
 
 use super::*;
 use crate::{
     direct::{Direct, DirectSettings},
+    gather::{Gather, Gathered, Receiver},
     geometry::Geometry,
     lights::Emitters,
     rays::Rays,
@@ -200,4 +201,37 @@ fn thread_counts_do_not_change_a_bit_and_no_light_gives_nothing() {
     }
     let dark = run(&ground().build(), 4, settings).0;
     assert_eq!((dark.rays, dark.irradiance), (0, vec![Rgb::ZERO; 16]));
+}
+
+/// Returns its receivers' seeds as light.
+struct Seeds;
+
+impl Gather for Seeds {
+    fn gather(&self, receivers: &[Receiver], _: &dyn Progress) -> Result<Vec<Gathered>, Cancelled> {
+        let light = |r: &Receiver| Gathered { irradiance: Rgb::splat((r.seed >> 40) as f32), ..Gathered::default() };
+        Ok(receivers.iter().map(light).collect())
+    }
+}
+
+#[test]
+fn seeds_do_not_change_with_what_stands_before_in_the_scene() {
+    let seeds = |others: u32| {
+        let mut b = Builder::new("ground");
+        let grey = b.matte(Vec3::splat(0.5));
+        for i in 0..others {
+            b.quad(&format!("tile {i}"), Vec3::new(i as f32, 0.0, 0.0), Vec3::X * 0.5, Vec3::NEG_Z * 0.5, grey);
+        }
+        b.quad("floor", Vec3::new(-2.0, 0.0, 2.0), Vec3::X * 4.0, Vec3::NEG_Z * 4.0, grey);
+        let scene = b.build();
+        let geometry = Geometry::new(&scene);
+        let mut surfels = tiled(&geometry, 8);
+        surfels.list.iter_mut().for_each(|s| s.triangle += 2 * others);
+        exact(&geometry, &surfels, &Seeds, 1, &Silent).unwrap().irradiance
+    };
+    let alone = seeds(0);
+    assert_eq!(alone, seeds(2));
+    let mut values: Vec<u32> = alone.iter().map(|e| e.x as u32).collect();
+    values.sort_unstable();
+    values.dedup();
+    assert!(values.len() > 60, "64 surfels have {} seeds", values.len());
 }

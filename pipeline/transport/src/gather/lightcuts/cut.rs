@@ -21,6 +21,20 @@ pub(super) struct Source<'a> {
     pub vantage: Vantage,
     /// B̄, the radiosity that is accounted for elsewhere.
     pub control: Rgb,
+    /// The tree's variant, which names the representatives.
+    pub variant: usize,
+}
+
+impl Source<'_> {
+    /// What the K·V of a node's representative is multiplied by.
+    fn stand_in(&self, node: u32) -> Rgb {
+        let (intensity, area) = self.tree.stand_in(node, self.variant);
+        intensity - self.control * area
+    }
+
+    fn representative(&self, node: u32) -> u32 {
+        self.tree.nodes[node as usize].representatives[self.variant]
+    }
 }
 
 /// An inner node in the cut.
@@ -150,8 +164,7 @@ impl Cut {
         // In the tree's order, so that the sum does not depend on how the heap is laid out.
         members.sort_unstable_by_key(|m| (m.source, m.node));
         for member in &mut members {
-            let tree = search.sources[usize::from(member.source)].tree;
-            let representative = tree.nodes[member.node as usize].representative;
+            let representative = search.sources[usize::from(member.source)].representative(member.node);
             member.weight = search.weight(member.source, representative);
             search.total += search.contribution(member);
         }
@@ -168,9 +181,10 @@ impl Cut {
             }
             let Some(top) = self.heap.pop() else { return };
             search.total -= search.contribution(&top);
-            let tree = search.sources[usize::from(top.source)].tree;
-            let known = tree.nodes[top.node as usize].representative;
-            for child in tree.children(top.node) {
+            let sources = search.sources;
+            let source = &sources[usize::from(top.source)];
+            let known = source.representative(top.node);
+            for child in source.tree.children(top.node) {
                 match child {
                     Cluster::Light(light) => {
                         search.add_light(top.source, light, (light == known).then_some(top.weight));
@@ -180,7 +194,7 @@ impl Cut {
                         if bound <= 0.0 {
                             continue;
                         }
-                        let light = tree.nodes[node as usize].representative;
+                        let light = source.representative(node);
                         let weight = if light == known { top.weight } else { search.weight(top.source, light) };
                         let member = Member { bound, source: top.source, node, weight };
                         search.total += search.contribution(&member);
@@ -196,9 +210,9 @@ impl Search<'_> {
     /// Largest error that a node can bring, in any band.
     fn bound(&self, source: u8, node: u32) -> f32 {
         let source = &self.sources[usize::from(source)];
-        let node = &source.tree.nodes[node as usize];
-        let power = deviation(node, source.control);
-        if power > 0.0 { power * source.vantage.bound(node) } else { 0.0 }
+        let inner = &source.tree.nodes[node as usize];
+        let power = deviation(inner, source.control, source.stand_in(node));
+        if power > 0.0 { power * source.vantage.bound(inner) } else { 0.0 }
     }
 
     /// K·V of a light.
@@ -232,21 +246,13 @@ impl Search<'_> {
     }
 
     fn contribution(&self, member: &Member) -> DVec3 {
-        let Source { tree, control, .. } = &self.sources[usize::from(member.source)];
-        let node = &tree.nodes[member.node as usize];
-        (stand_in(node, *control) * member.weight).as_dvec3()
+        (self.sources[usize::from(member.source)].stand_in(member.node) * member.weight).as_dvec3()
     }
 }
 
-/// What the representative's K·V is multiplied by.
-fn stand_in(node: &Node, control: Rgb) -> Rgb {
-    node.stand_in - control * node.stand_in_area
-}
-
-/// Largest error of a node, in any band, for a kernel of 1: how far the estimate, between 0 and the stand-in, can be
-/// from the truth, between −M and P.
-fn deviation(node: &Node, control: Rgb) -> f32 {
-    let estimate = stand_in(node, control);
+/// Largest error of a node, in any band, for a kernel of 1: how far the light found, between 0 and the stand-in
+/// `estimate`, can be from the truth, between −M and P.
+fn deviation(node: &Node, control: Rgb, estimate: Rgb) -> f32 {
     let (above, below) = parts(node, control);
     (above - estimate.min(Rgb::ZERO)).max(below + estimate.max(Rgb::ZERO)).max_element()
 }
@@ -275,7 +281,8 @@ fn mean(rgb: DVec3) -> f64 {
 mod tests {
     use super::*;
     use crate::{
-        lighttree::{Light, Seeded},
+        gather::Receiver,
+        lighttree::{Light, Seeded, VARIANTS},
         sampling::{mix, unit},
     };
     use proptest::prelude::*;
@@ -284,6 +291,12 @@ mod tests {
         let position = Vec3::splat(unit(mix(i as u64)));
         let light = Light { position, normal: Vec3::Z, target: position, intensity: radiosity * area, area };
         Seeded { light, seed: i as u64 }
+    }
+
+    fn source(tree: &LightTree, control: Rgb, variant: usize) -> Source<'_> {
+        let receiver =
+            Receiver { position: Vec3::ZERO, normal: Vec3::Z, shading_normal: Vec3::Z, footprint: 1.0, seed: 0 };
+        Source { tree, vantage: Vantage::new(&receiver, f32::INFINITY), control, variant }
     }
 
     proptest! {
@@ -306,10 +319,14 @@ mod tests {
                 if patches[i].2 { 1.0 } else { patches[i].3 }
             };
             let truth: Rgb = tree.lights.iter().map(|l| (l.intensity - control * l.area) * kernel(l)).sum();
-            let root = &tree.nodes[0];
-            let estimate = stand_in(root, control) * kernel(&tree.lights[root.representative as usize]);
-            let (off, bound) = ((estimate - truth).abs().max_element(), deviation(root, control));
-            prop_assert!(off <= bound * (1.0 + 1e-4) + 1e-4, "{off} above {bound}");
+            for variant in 0..VARIANTS {
+                let source = source(&tree, control, variant);
+                let stand_in = source.stand_in(0);
+                let estimate = stand_in * kernel(&tree.lights[source.representative(0) as usize]);
+                let bound = deviation(&tree.nodes[0], control, stand_in);
+                let off = (estimate - truth).abs().max_element();
+                prop_assert!(off <= bound * (1.0 + 1e-4) + 1e-4, "{off} above {bound}");
+            }
         }
     }
 
@@ -323,12 +340,15 @@ mod tests {
         assert_eq!(parts(root, Rgb::ZERO), (Rgb::splat(8.0), Rgb::ZERO));
         assert_eq!(parts(root, Rgb::splat(5.0)), (Rgb::ZERO, Rgb::splat(12.0)));
         // A plain cut: the estimate lies between nothing and everything, and so does the truth.
-        assert_eq!(deviation(root, Rgb::ZERO), 8.0);
+        assert_eq!(deviation(root, Rgb::ZERO, source(&tree, Rgb::ZERO, 0).stand_in(0)), 8.0);
     }
 
     #[test]
     fn lights_that_are_all_alike_hide_nothing_behind_their_own_radiosity() {
         let tree = LightTree::new((0..9).map(|i| light(i, Rgb::splat(0.7), 0.5)).collect(), 0.7);
-        assert!(deviation(&tree.nodes[0], Rgb::splat(0.7)) < 1e-5);
+        for variant in 0..VARIANTS {
+            let stand_in = source(&tree, Rgb::splat(0.7), variant).stand_in(0);
+            assert!(deviation(&tree.nodes[0], Rgb::splat(0.7), stand_in) < 1e-5);
+        }
     }
 }

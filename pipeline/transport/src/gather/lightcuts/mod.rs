@@ -34,7 +34,7 @@ use self::cut::{Cut, Source};
 use super::{Field, Gather, Gathered, Receiver, hemisphere::Hemisphere, refresh::surfel_receiver, run};
 use crate::{
     Rgb,
-    lighttree::{LightTree, Vantage, emitter_samples},
+    lighttree::{LightTree, Vantage, emitter_samples, variant},
     rays::OFFSET,
 };
 
@@ -138,6 +138,7 @@ impl<'a> Lightcuts<'a> {
             tree,
             vantage: Vantage::new(receiver, cap),
             control,
+            variant: variant(receiver.seed),
         });
         let origin = receiver.position + receiver.normal * OFFSET;
         let found = cut.find(&sources, self.field.rays, origin, offset, near.irradiance, &self.settings);
