@@ -358,6 +358,21 @@ fn bombs_are_refused_by_the_binary() {
 }
 
 #[test]
+fn what_only_the_export_reads_is_refused_before_anything_is_baked() {
+    let (mut document, bin) = parts("cornell.glb");
+    let views = document["bufferViews"].as_array_mut().unwrap();
+    // Nothing refers to this view, so no mesh needs its bytes; the .glb of the bake would carry it on.
+    views.push(json!({"buffer": 0, "byteOffset": bin.len() - 4, "byteLength": 400}));
+    let place = format!("bufferView {}", views.len() - 1);
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("a.glb"), glb(&document, &bin)).unwrap();
+    let run = luxel(&["bake", "a.glb", "--json"], folder.path()).ended(1);
+    let failed = run.stdout.lines().find(|l| l.contains("\"failed\"")).unwrap();
+    assert!(failed.contains(&place) && failed.contains("a.glb"), "{failed}");
+    assert!(!run.stdout.contains("unwrap"), "it fails early: {}", run.stdout);
+}
+
+#[test]
 fn every_cut_of_a_file_is_refused_by_name() {
     let bytes = std::fs::read(asset("two_rooms.glb")).unwrap();
     let folder = tempfile::tempdir().unwrap();

@@ -36,7 +36,7 @@ fn sky(scene: &mut Scene, settings: &Settings) -> Result<Sky, Error> {
             Sky::Gradient { zenith: *zenith * strength, horizon: *horizon * strength, ground: *ground * strength }
         }
         SkySetting::Image(path) => {
-            let loaded = import::load_sky_with(path, &Limits::default())?;
+            let loaded = import::load_sky(path, &Limits::default())?;
             scene.notices.extend(loaded.notices);
             scene.inputs.push(loaded.input);
             let image = SkyImage {

@@ -13,7 +13,7 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use luxel_atlas::{Atlas, AtlasReport, InProcess, Unwrapper, Worker};
-use luxel_export::{BoundMap, Lightmap, OutputSet, Report};
+use luxel_export::{BoundMap, Lightmap, Original, OutputSet, Report};
 use luxel_scene::{Progress, Scene};
 use luxel_transport::{geometry::Geometry, rays::Rays};
 
@@ -71,11 +71,14 @@ fn run(request: &Request, progress: &dyn Progress) -> Result<Baked, Error> {
     let start = Instant::now();
     let settings = &request.settings.settings;
     let mut journal = Journal::new(progress);
-    let scene = journal.always(Stage::Import, "", Some(0), |_, counters| {
+    let (scene, original) = journal.always(Stage::Import, "", Some(0), |_, counters| {
         let scene = input::load(&request.scene, settings)?;
         counters.insert("triangles".into(), scene.triangle_count() as u64);
         counters.insert("files".into(), scene.inputs.len() as u64);
-        Ok(scene)
+        // What the export will write again is read now: a fault in it must not come out after the bake.
+        let original = Original::read(&request.scene)?;
+        original.check_unchanged(&scene.inputs)?;
+        Ok((scene, original))
     })?;
     let plan = Plan::new(&scene, settings);
     journal.explain(Stage::Import, plan.reason(Stage::Import));
@@ -89,7 +92,7 @@ fn run(request: &Request, progress: &dyn Progress) -> Result<Baked, Error> {
     };
     let picture = export::preview(&geometry, rays.as_ref(), &plan, &lit, &mut journal)?;
     let mut report = report::start(&scene, &request.settings);
-    let glb = export::glb(request, &scene, &plan, &lit, &mut report, &mut journal)?;
+    let glb = export::glb(request, &original, &scene, &plan, &lit, &mut report, &mut journal)?;
     report::fill(&mut report, &scene, &plan, &lit, &journal, start.elapsed().as_secs_f64());
     let files = export::write(&request.outputs, &lit, picture.as_deref(), &glb, &key, &mut report)?;
     Ok(Baked { report, files, seconds: start.elapsed().as_secs_f64(), lit })

@@ -195,7 +195,7 @@ mod tests {
     fn a_file_beside_the_scene_counts_unless_another_is_named() {
         let folder = tempfile::tempdir().unwrap();
         let scene = folder.path().join("a.gltf");
-        std::fs::write(&scene, r#"{"scenes":[{"extras":{"luxel":{"padding":5}}}]}"#).unwrap();
+        std::fs::write(&scene, r#"{"asset":{"version":"2.0"},"scenes":[{"extras":{"luxel":{"padding":5}}}]}"#).unwrap();
         std::fs::write(folder.path().join("luxel.toml"), "size = 128\npadding = 3").unwrap();
         let none = Layer::new(Origin::CommandLine);
         let resolved = settings(&scene, None, &none).unwrap();
