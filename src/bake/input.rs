@@ -15,6 +15,8 @@ pub fn load(path: &Path, settings: &Settings) -> Result<Scene, Error> {
         metal_diffuse: settings.metal_diffuse.0,
         light_scale: settings.light_scale.0,
         emissive_scale: settings.emissive_scale.0,
+        lamp_radius: settings.lamp_radius.0.into(),
+        sun_angle: settings.sun_angle.0.into(),
         bake_animated: settings.bake_animated,
         ..ImportOptions::default()
     };

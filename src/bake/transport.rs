@@ -33,12 +33,14 @@ const POINTS: u32 = 5;
 const PHOTONS_PER_POINT: u32 = 256;
 
 /// The settings that the light at surfels depends on.
-const KEY_SETTINGS: [&str; 18] = [
+const KEY_SETTINGS: [&str; 20] = [
     "sky",
     "sky_rotation",
     "sky_strength",
     "light_scale",
     "emissive_scale",
+    "lamp_radius",
+    "sun_angle",
     "metal_diffuse",
     "bake_animated",
     "voxels",
