@@ -6,6 +6,7 @@ use luxel_atlas::AtlasSettings;
 use luxel_scene::{ImportOptions, Limits, Scene, Sky, SkyImage, import};
 
 use crate::Error;
+use crate::plan::Stage;
 use crate::settings::{FIELDS, Settings, SkySetting};
 use crate::store::Key;
 
@@ -60,10 +61,13 @@ pub fn atlas_settings(settings: &Settings) -> AtlasSettings {
     }
 }
 
-/// Identity of a result: luxel's version, all bytes that were read, and the settings that `matters` names.
+/// Identity of a result: luxel's version and that of its stages, all bytes that were read, and the settings that `matters` names.
 pub fn key(scene: &Scene, settings: &Settings, matters: impl Fn(&str) -> bool) -> Key {
     let mut hasher = blake3::Hasher::new();
     hasher.update(env!("CARGO_PKG_VERSION").as_bytes());
+    for stage in Stage::ALL {
+        hasher.update(&stage.version().to_le_bytes());
+    }
     for input in &scene.inputs {
         hasher.update(&input.digest);
     }

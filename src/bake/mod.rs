@@ -5,6 +5,7 @@ mod export;
 mod finish;
 mod input;
 pub mod journal;
+mod record;
 mod report;
 mod texels;
 mod transport;
@@ -93,7 +94,7 @@ fn run(request: &Request, progress: &dyn Progress) -> Result<Baked, Error> {
     let picture = export::preview(&geometry, rays.as_ref(), &plan, &lit, &mut journal)?;
     let mut report = report::start(&scene, &request.settings);
     let glb = export::glb(request, &original, &scene, &plan, &lit, &mut report, &mut journal)?;
-    report::fill(&mut report, &scene, &plan, &lit, &journal, start.elapsed().as_secs_f64());
+    report::fill(&mut report, &scene, settings, &plan, &lit, &journal, start.elapsed().as_secs_f64());
     let files = export::write(&request.outputs, &lit, picture.as_deref(), &glb, &key, &mut report)?;
     Ok(Baked { report, files, seconds: start.elapsed().as_secs_f64(), lit })
 }
