@@ -132,7 +132,11 @@ fn each(task: &Job, mut work: impl FnMut(&Found, &Reporter) -> Result<(), Error>
             Ok(()) => {}
             Err(Error::Cancelled) => {
                 reporter.finish();
-                say("interrupted; nothing of this scene was written");
+                if task.style == Style::Json {
+                    event(&json!({ "event": "interrupted", "scene": name }));
+                } else {
+                    say("interrupted; nothing of this scene was written");
+                }
                 return Ok(INTERRUPTED);
             }
             Err(error) => {
@@ -189,6 +193,23 @@ mod tests {
         let pair = [found("a/level.glb"), found("b/level.glb")];
         assert!(places(&pair, Some(Path::new("out"))).unwrap_err().to_string().contains("different --out"));
         assert_eq!(places(&pair, None).unwrap().len(), 2);
+    }
+
+    #[test]
+    fn an_internal_error_fails_its_scene_and_the_others_go_on() {
+        let found = |path: &str| Found { scene: path.into(), root: None };
+        let task = Job {
+            found: vec![found("a.glb"), found("b.glb"), found("c.glb")],
+            config: None,
+            style: Style::Quiet,
+            cancelled: Arc::default(),
+        };
+        let mut done = Vec::new();
+        let code = each(&task, |found, _| {
+            done.push(found.scene.clone());
+            if found.scene == Path::new("b.glb") { Err(Error::Internal { what: "burst".into() }) } else { Ok(()) }
+        });
+        assert_eq!((code.unwrap(), done.len()), (SOME_FAILED, 3));
     }
 
     #[test]
