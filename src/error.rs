@@ -34,6 +34,9 @@ pub enum Error {
     Export(#[from] ExportError),
     #[error("cannot start {threads} threads; try fewer with --threads")]
     Threads { threads: u32, source: rayon::ThreadPoolBuildError },
+    /// A fault of luxel: something panicked. Other scenes are not concerned.
+    #[error("internal error: {what}; this is a bug in luxel, not in your scene")]
+    Internal { what: String },
     #[error("cancelled")]
     Cancelled,
 }

@@ -5,11 +5,7 @@ mod cli;
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
-    std::panic::set_hook(Box::new(|panic| {
-        eprintln!("luxel: internal error: {panic}");
-        eprintln!("This is a bug in luxel, not in your scene. Files that were there before are untouched.");
-        // Worker threads must not leave the others waiting for them.
-        std::process::exit(101);
-    }));
+    // A panic within a scene becomes that scene's error, which tells the rest; this is where in the code it was.
+    std::panic::set_hook(Box::new(|panic| eprintln!("luxel: internal error: {panic}")));
     cli::main()
 }

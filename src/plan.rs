@@ -69,6 +69,13 @@ impl Stage {
     }
 }
 
+impl Stage {
+    /// Raised whenever the stage makes something else of the same input.
+    pub fn version(self) -> u32 {
+        1
+    }
+}
+
 /// A stage with the decision about it.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Step {

@@ -32,8 +32,6 @@ pub struct Picture {
     pub width: u32,
     pub height: u32,
     pub radiance: Vec<Rgb>,
-    /// Which view it is, in words.
-    pub view: String,
 }
 
 /// What is seen, and by whom.
@@ -48,9 +46,9 @@ impl Preview<'_> {
     /// Renders from the scene's first camera, or from a view that shows much of the lit scene.
     pub fn render(&self, progress: &dyn Progress) -> Result<Picture, Cancelled> {
         let scene = self.rays.geometry.scene;
-        let (camera, view) = match scene.cameras.first() {
-            Some(camera) => (camera.clone(), format!("camera {:?}", camera.name)),
-            None => (self.choose(progress)?, "chosen".into()),
+        let camera = match scene.cameras.first() {
+            Some(camera) => camera.clone(),
+            None => self.choose(progress)?,
         };
         let (width, height) = size(&camera);
         progress.begin("preview", u64::from(height));
@@ -64,7 +62,7 @@ impl Preview<'_> {
                 Ok(row)
             })
             .collect::<Result<_, Cancelled>>()?;
-        Ok(Picture { width, height, radiance: rows.concat(), view })
+        Ok(Picture { width, height, radiance: rows.concat() })
     }
 
     fn pixel(&self, lens: &Lens, x: u32, y: u32, width: u32, height: u32) -> Rgb {
@@ -173,7 +171,7 @@ impl Picture {
     /// What a scene without any light looks like.
     pub fn black(scene: &Scene) -> Self {
         let (width, height) = scene.cameras.first().map_or((SIDE, SIDE * 2 / 3), size);
-        Self { width, height, radiance: vec![Rgb::ZERO; width as usize * height as usize], view: "dark".into() }
+        Self { width, height, radiance: vec![Rgb::ZERO; width as usize * height as usize] }
     }
 }
 

@@ -32,8 +32,8 @@ pub struct Format {
     pub limit: u64,
 }
 
-/// The octree irradiance cache.
-pub const OCTREE: Format = Format { magic: *b"luxelOct", version: 2, limit: 8 << 30 };
+/// The octree irradiance cache, behind the record of how it came about.
+pub const OCTREE: Format = Format { magic: *b"luxelOct", version: 3, limit: 8 << 30 };
 
 /// Why a stored file is of no use.
 #[derive(Debug, thiserror::Error)]

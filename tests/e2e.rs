@@ -1,11 +1,13 @@
 //! The binary as a person or a build uses it: on a temporary folder, by its files, its output and its exit code.
 
-use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+mod tool;
+
+use std::path::Path;
 use std::process::{Command, Output};
 
 use serde_json::Value;
 use tempfile::TempDir;
+use tool::{asset, files};
 
 /// Settings with which a shipped scene bakes in a moment.
 const QUICK: [&str; 8] = ["--preset", "draft", "--size", "64", "--voxels", "3000", "--directions", "64"];
@@ -16,10 +18,6 @@ fn luxel(args: &[&str], folder: &Path) -> Output {
 
 fn quick(args: &[&str], folder: &Path) -> Output {
     luxel(&[args, &QUICK].concat(), folder)
-}
-
-fn asset(name: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("assets").join(name)
 }
 
 /// A folder with copies of shipped scenes.
@@ -39,27 +37,8 @@ fn succeeded(output: &Output) {
     assert_eq!(output.status.code(), Some(0), "{}{}", text(&output.stdout), text(&output.stderr));
 }
 
-/// Name and content of every file below a folder, hidden ones left out.
-fn files(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
-    let mut files = BTreeMap::new();
-    let mut open = vec![folder.to_path_buf()];
-    while let Some(path) = open.pop() {
-        for entry in std::fs::read_dir(path).unwrap() {
-            let path = entry.unwrap().path();
-            if path.file_name().unwrap().as_encoded_bytes().starts_with(b".") {
-                continue;
-            } else if path.is_dir() {
-                open.push(path);
-            } else {
-                files.insert(path.strip_prefix(folder).unwrap().into(), std::fs::read(&path).unwrap());
-            }
-        }
-    }
-    files
-}
-
 fn names(folder: &Path) -> Vec<String> {
-    files(folder).keys().map(|p| p.display().to_string()).collect()
+    files(folder).into_keys().collect()
 }
 
 #[test]
@@ -88,17 +67,20 @@ fn a_bake_leaves_four_files_that_belong_together() {
 fn the_number_of_threads_changes_no_byte() {
     let bake = |threads: &str| {
         let folder = folder(&["textured_room.glb"]);
-        succeeded(&quick(&["bake", "textured_room.glb", "--threads", threads, "--bound"], folder.path()));
+        succeeded(&quick(
+            &["bake", "textured_room.glb", "--threads", threads, "--gather", "lightcuts", "--bound"],
+            folder.path(),
+        ));
         let mut files = files(&folder.path().join("baked"));
         // The report holds times.
-        files.remove(Path::new("textured_room.bake.json")).unwrap();
+        files.remove("textured_room.bake.json").unwrap();
         files
     };
     let one = bake("1");
-    assert!(one.contains_key(Path::new("textured_room.bound.exr")));
+    assert!(one.contains_key("textured_room.bound.exr"));
     for threads in ["2", "7"] {
         for (name, bytes) in bake(threads) {
-            assert!(one[&name] == bytes, "{} differs with {threads} threads", name.display());
+            assert!(one[&name] == bytes, "{name} differs with {threads} threads");
         }
     }
 }
@@ -116,7 +98,7 @@ fn a_scene_that_fails_is_named_and_stops_no_other() {
     let said = text(&output.stderr);
     assert!(said.contains("1 of 2 scenes failed") && said.contains("cornell.glb"), "{said}");
     let after = files(&folder.path().join("baked"));
-    assert!(after.contains_key(Path::new("z.lightmap.exr")), "the other scene is baked");
+    assert!(after.contains_key("z.lightmap.exr"), "the other scene is baked");
     assert!(before.iter().all(|(name, bytes)| after[name] == *bytes), "the last good bake is still there");
 }
 
@@ -171,6 +153,30 @@ fn machines_read_one_object_per_line_and_nothing_else() {
     let baked = events.iter().find(|e| e["event"] == "baked").unwrap();
     assert_eq!(baked["outputs"].as_array().unwrap().len(), 4);
     assert!(events.iter().any(|e| e["event"] == "started" && e["stage"] == "unwrap"));
+}
+
+/// Ctrl-C while a bake runs: exit code 130, told in the form that was asked for, and nothing written.
+#[cfg(unix)]
+#[test]
+fn an_interrupted_bake_says_so_and_leaves_nothing() {
+    use std::io::{BufRead, BufReader};
+    let folder = folder(&["cornell.glb"]);
+    // Far more rays than anybody waits for.
+    let slow = ["bake", "cornell.glb", "--json", "--preset", "final", "--size", "1024", "--sky-rays", "65536"];
+    let mut child = Command::new(env!("CARGO_BIN_EXE_luxel"))
+        .args(slow)
+        .current_dir(folder.path())
+        .stdout(std::process::Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut lines = BufReader::new(child.stdout.take().unwrap()).lines().map(Result::unwrap);
+    assert!(lines.any(|l| l.contains("\"started\"") && l.contains("\"shoot\"")));
+    let killed = Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap();
+    assert!(killed.success());
+    let last: Value = serde_json::from_str(&lines.last().unwrap()).unwrap();
+    assert_eq!((&last["event"], &last["scene"]), (&"interrupted".into(), &"cornell.glb".into()));
+    assert_eq!(child.wait().unwrap().code(), Some(130));
+    assert_eq!(names(folder.path()), ["cornell.glb"]);
 }
 
 #[test]

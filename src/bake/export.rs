@@ -54,9 +54,10 @@ fn mean(lit: &Lit) -> Rgb {
     if count > 0.0 { (sum / count).as_vec3() } else { Rgb::ZERO }
 }
 
-/// The scene with its lightmap.
+/// The scene with its lightmap, over the file as it was.
 pub fn glb(
     request: &Request,
+    original: &Original,
     scene: &Scene,
     plan: &Plan,
     lit: &Lit,
@@ -65,7 +66,7 @@ pub fn glb(
 ) -> Result<Vec<u8>, Error> {
     journal.always(Stage::Export, plan.reason(Stage::Export), Some(0), |_, counters| {
         let names = request.outputs.lightmap_names(lit.lightmaps.len());
-        let glb = Original::read(&request.scene)?.lightmapped(scene, &lit.atlas, &lit.lightmaps, &names)?;
+        let glb = original.lightmapped(scene, &lit.atlas, &lit.lightmaps, &names)?;
         report.warnings.extend(glb.notices.iter().map(Warning::from));
         let clipped: usize = glb.pages.iter().map(|p| p.clipped).sum();
         counters.insert("bytes".into(), glb.bytes.len() as u64);

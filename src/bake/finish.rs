@@ -9,7 +9,7 @@ use super::texels::TexelLight;
 use crate::Error;
 use crate::settings::Settings;
 
-/// One lightmap per page, and one map of stated bounds where the settings ask for it.
+/// One lightmap per page, and one map of stated bounds where the settings ask for it and the gather states one.
 pub fn run(
     scene: &Scene,
     atlas: &Atlas,
@@ -21,7 +21,8 @@ pub fn run(
     let (images, report) = finish(scene, atlas, |i| open(i).then(|| light.total(i)), &how)?;
     let lightmaps = images.into_iter().map(lightmap).collect::<Result<_, _>>()?;
     let mut bounds = Vec::new();
-    if settings.bound {
+    // A mode that states no bound must not seem to state that its error is nothing.
+    if settings.bound && settings.states_bound() {
         // A bound is no light: a seam may show in it.
         let how = FinishSettings { stitch: false, ..how };
         let (images, _) = finish(scene, atlas, |i| open(i).then(|| Rgb::splat(light.bound[i])), &how)?;

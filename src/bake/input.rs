@@ -6,6 +6,7 @@ use luxel_atlas::AtlasSettings;
 use luxel_scene::{ImportOptions, Limits, Scene, Sky, SkyImage, import};
 
 use crate::Error;
+use crate::plan::Stage;
 use crate::settings::{FIELDS, Settings, SkySetting};
 use crate::store::Key;
 
@@ -15,6 +16,8 @@ pub fn load(path: &Path, settings: &Settings) -> Result<Scene, Error> {
         metal_diffuse: settings.metal_diffuse.0,
         light_scale: settings.light_scale.0,
         emissive_scale: settings.emissive_scale.0,
+        lamp_radius: settings.lamp_radius.0.into(),
+        sun_angle: settings.sun_angle.0.into(),
         bake_animated: settings.bake_animated,
         ..ImportOptions::default()
     };
@@ -36,7 +39,7 @@ fn sky(scene: &mut Scene, settings: &Settings) -> Result<Sky, Error> {
             Sky::Gradient { zenith: *zenith * strength, horizon: *horizon * strength, ground: *ground * strength }
         }
         SkySetting::Image(path) => {
-            let loaded = import::load_sky_with(path, &Limits::default())?;
+            let loaded = import::load_sky(path, &Limits::default())?;
             scene.notices.extend(loaded.notices);
             scene.inputs.push(loaded.input);
             let image = SkyImage {
@@ -58,10 +61,13 @@ pub fn atlas_settings(settings: &Settings) -> AtlasSettings {
     }
 }
 
-/// Identity of a result: luxel's version, all bytes that were read, and the settings that `matters` names.
+/// Identity of a result: luxel's version and that of its stages, all bytes that were read, and the settings that `matters` names.
 pub fn key(scene: &Scene, settings: &Settings, matters: impl Fn(&str) -> bool) -> Key {
     let mut hasher = blake3::Hasher::new();
     hasher.update(env!("CARGO_PKG_VERSION").as_bytes());
+    for stage in Stage::ALL {
+        hasher.update(&stage.version().to_le_bytes());
+    }
     for input in &scene.inputs {
         hasher.update(&input.digest);
     }

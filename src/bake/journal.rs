@@ -33,7 +33,7 @@ impl<'a> Journal<'a> {
         work: impl FnOnce(&dyn Progress, &mut Counters) -> Result<T, Error>,
     ) -> Result<Option<T>, Error> {
         if !plan.runs(stage) {
-            self.note(stage, StageState::LeftOut, plan.reason(stage), 0.0, Counters::new());
+            self.left_out(plan, stage);
             return Ok(None);
         }
         self.always(stage, plan.reason(stage), total, work).map(Some)
@@ -64,7 +64,7 @@ impl<'a> Journal<'a> {
         self.entries.push(Entry { name, state, reason, seconds, counters });
     }
 
-    /// A stage that cannot run because what it would read was left out too.
+    /// A stage that the plan leaves out.
     pub fn left_out(&mut self, plan: &Plan, stage: Stage) {
         self.note(stage, StageState::LeftOut, plan.reason(stage), 0.0, Counters::new());
     }
@@ -81,8 +81,23 @@ impl<'a> Journal<'a> {
         self.entries.iter().filter(|e| e.name == stage.name()).map(|e| e.seconds).sum()
     }
 
-    /// A counter of a stage; 0 if it was not counted.
+    /// A counter of a stage, of one that was reused too; 0 if it was not counted.
     pub fn count(&self, stage: Stage, counter: &str) -> u64 {
         self.entries.iter().filter(|e| e.name == stage.name()).filter_map(|e| e.counters.get(counter)).sum()
+    }
+
+    /// A counter of a stage, if this very bake ran it.
+    pub fn count_run(&self, stage: Stage, counter: &str) -> u64 {
+        if self.state(stage) == Some(StageState::Ran) { self.count(stage, counter) } else { 0 }
+    }
+
+    /// What became of a stage so far.
+    pub fn state(&self, stage: Stage) -> Option<StageState> {
+        self.entries.iter().find(|e| e.name == stage.name()).map(|e| e.state)
+    }
+
+    /// What a stage counted.
+    pub fn counters(&self, stage: Stage) -> Counters {
+        self.entries.iter().find(|e| e.name == stage.name()).map(|e| e.counters.clone()).unwrap_or_default()
     }
 }

@@ -5,15 +5,17 @@ mod export;
 mod finish;
 mod input;
 pub mod journal;
+mod record;
 mod report;
 mod texels;
 mod transport;
 
+use std::panic::AssertUnwindSafe;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use luxel_atlas::{Atlas, AtlasReport, InProcess, Unwrapper, Worker};
-use luxel_export::{BoundMap, Lightmap, OutputSet, Report};
+use luxel_export::{BoundMap, Lightmap, Original, OutputSet, Report};
 use luxel_scene::{Progress, Scene};
 use luxel_transport::{geometry::Geometry, rays::Rays};
 
@@ -71,11 +73,14 @@ fn run(request: &Request, progress: &dyn Progress) -> Result<Baked, Error> {
     let start = Instant::now();
     let settings = &request.settings.settings;
     let mut journal = Journal::new(progress);
-    let scene = journal.always(Stage::Import, "", Some(0), |_, counters| {
+    let (scene, original) = journal.always(Stage::Import, "", Some(0), |_, counters| {
         let scene = input::load(&request.scene, settings)?;
         counters.insert("triangles".into(), scene.triangle_count() as u64);
         counters.insert("files".into(), scene.inputs.len() as u64);
-        Ok(scene)
+        // What the export will write again is read now: a fault in it must not come out after the bake.
+        let original = Original::read(&request.scene)?;
+        original.check_unchanged(&scene.inputs)?;
+        Ok((scene, original))
     })?;
     let plan = Plan::new(&scene, settings);
     journal.explain(Stage::Import, plan.reason(Stage::Import));
@@ -89,8 +94,8 @@ fn run(request: &Request, progress: &dyn Progress) -> Result<Baked, Error> {
     };
     let picture = export::preview(&geometry, rays.as_ref(), &plan, &lit, &mut journal)?;
     let mut report = report::start(&scene, &request.settings);
-    let glb = export::glb(request, &scene, &plan, &lit, &mut report, &mut journal)?;
-    report::fill(&mut report, &scene, &plan, &lit, &journal, start.elapsed().as_secs_f64());
+    let glb = export::glb(request, &original, &scene, &plan, &lit, &mut report, &mut journal)?;
+    report::fill(&mut report, &scene, settings, &plan, &lit, &journal, start.elapsed().as_secs_f64());
     let files = export::write(&request.outputs, &lit, picture.as_deref(), &glb, &key, &mut report)?;
     Ok(Baked { report, files, seconds: start.elapsed().as_secs_f64(), lit })
 }
@@ -106,8 +111,10 @@ pub fn bake_scene(scene: &Scene, settings: &Settings, progress: &dyn Progress) -
 
 /// What a bake of the file would do.
 pub fn plan_file(path: &Path, settings: &Settings, progress: &dyn Progress) -> Result<Plan, Error> {
-    progress.begin(Stage::Import.name(), 0);
-    Ok(Plan::new(&input::load(path, settings)?, settings))
+    guarded(|| {
+        progress.begin(Stage::Import.name(), 0);
+        Ok(Plan::new(&input::load(path, settings)?, settings))
+    })
 }
 
 /// The middle of the chain: from the scene to finished images.
@@ -161,5 +168,76 @@ fn worker(path: &Path) -> Worker {
 fn with_threads<T: Send>(settings: &Settings, work: impl FnOnce() -> Result<T, Error> + Send) -> Result<T, Error> {
     let threads = settings.threads.0;
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads as usize).build();
-    pool.map_err(|source| Error::Threads { threads, source })?.install(work)
+    let pool = pool.map_err(|source| Error::Threads { threads, source })?;
+    guarded(|| pool.install(work))
+}
+
+/// The boundary of one scene: a panic within it, be it in a decoder that a file has upset, is that scene's error. What
+/// `work` was about to make is lost; files are only ever replaced whole, so none is left half written.
+fn guarded<T>(work: impl FnOnce() -> Result<T, Error>) -> Result<T, Error> {
+    std::panic::catch_unwind(AssertUnwindSafe(work)).unwrap_or_else(|panic| {
+        let text = panic.downcast_ref::<&str>().copied().or(panic.downcast_ref::<String>().map(String::as_str));
+        Err(Error::Internal { what: text.unwrap_or("a panic without a message").into() })
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::settings::{
+        Preset, Voxels,
+        value::{Texels, Threads},
+    };
+    use luxel_scene::Silent;
+    use rayon::prelude::*;
+
+    /// Breaks down at a stage, as a decoder may over a file.
+    struct Broken(&'static str);
+
+    impl Progress for Broken {
+        fn begin(&self, stage: &'static str, _: u64) {
+            assert!(stage != self.0, "the seam of {stage} burst");
+        }
+        fn advance(&self, _: u64) {}
+        fn is_cancelled(&self) -> bool {
+            false
+        }
+    }
+
+    fn request(folder: &Path) -> Request {
+        let scene = folder.join("level.glb");
+        std::fs::write(&scene, luxel_assets::glb::write(&luxel_assets::cornell()).unwrap()).unwrap();
+        let outputs = OutputSet::new(&scene, None, None).unwrap();
+        let mut settings = Resolved { settings: Settings::preset(Preset::Draft), ..Resolved::default() };
+        settings.settings.size = Texels(32);
+        settings.settings.voxels = Voxels::Budget(500);
+        Request { scene, outputs, settings, worker: None }
+    }
+
+    #[test]
+    fn a_panic_is_the_error_of_its_scene_and_leaves_the_last_bake_alone() {
+        let folder = tempfile::tempdir().unwrap();
+        let request = request(folder.path());
+        bake(&request, &Silent).unwrap();
+        let report = || std::fs::read(request.outputs.report()).unwrap();
+        let before = report();
+        for stage in ["import", "texels", "direct", "export"] {
+            let error = bake(&request, &Broken(stage)).unwrap_err();
+            assert!(matches!(&error, Error::Internal { what } if what.contains(stage)), "{stage}: {error}");
+            assert!(error.to_string().contains("a bug in luxel"));
+        }
+        assert_eq!(report(), before);
+        let planned = plan_file(&request.scene, &Settings::default(), &Broken("import"));
+        assert!(matches!(planned, Err(Error::Internal { .. })));
+        bake(&request, &Silent).unwrap();
+    }
+
+    #[test]
+    fn a_panic_on_a_worker_thread_is_caught_too() {
+        let settings = Settings { threads: Threads(2), ..Settings::default() };
+        let all = || -> Result<Vec<u32>, Error> {
+            Ok((0..1000u32).into_par_iter().map(|i| if i == 637 { panic!("number {i}") } else { i }).collect())
+        };
+        assert!(matches!(with_threads(&settings, all), Err(Error::Internal { what }) if what == "number 637"));
+    }
 }

@@ -6,14 +6,21 @@ use serde_json::Value as Json;
 
 use super::Lit;
 use super::journal::Journal;
+use super::record::Record;
 use crate::plan::{Plan, Stage};
-use crate::settings::Resolved;
+use crate::settings::value::Value;
+use crate::settings::{Resolved, Settings};
+use crate::store::OCTREE;
 
 /// The part that is known before the bake.
 pub fn start(scene: &Scene, settings: &Resolved) -> Report {
     let inputs = scene.inputs.iter().map(Input::from).collect();
     let mut report = Report::new(SceneInfo { name: scene.name.clone(), inputs });
     report.versions.insert("luxel".into(), env!("CARGO_PKG_VERSION").into());
+    report.versions.insert("octree file".into(), OCTREE.version.to_string());
+    for stage in Stage::ALL {
+        report.versions.insert(stage.name().into(), stage.version().to_string());
+    }
     report.settings = settings
         .list()
         .map(|(field, value, origin)| Setting {
@@ -26,30 +33,49 @@ pub fn start(scene: &Scene, settings: &Resolved) -> Report {
     report
 }
 
-/// Numbers and booleans as such, everything else as text.
+/// Numbers, booleans and lists of numbers as such, everything else as text.
 fn json_form(value: &str) -> Json {
-    match serde_json::from_str(value) {
-        Ok(json @ (Json::Number(_) | Json::Bool(_))) => json,
-        _ => Json::String(value.into()),
-    }
+    let plain = |text: &str| match serde_json::from_str(text) {
+        Ok(json @ (Json::Number(_) | Json::Bool(_))) => Some(json),
+        _ => None,
+    };
+    let list = || value.contains(',').then(|| value.split(',').map(plain).collect::<Option<Vec<_>>>())?;
+    plain(value).or_else(|| list().map(Json::Array)).unwrap_or_else(|| Json::String(value.into()))
 }
 
 /// The part that the bake found out.
-pub fn fill(report: &mut Report, scene: &Scene, plan: &Plan, lit: &Lit, journal: &Journal, seconds: f64) {
+pub fn fill(
+    report: &mut Report,
+    scene: &Scene,
+    settings: &Settings,
+    plan: &Plan,
+    lit: &Lit,
+    journal: &Journal,
+    seconds: f64,
+) {
     report.stages = journal.entries.clone();
-    let counted = |counter| Stage::ALL.iter().map(|s| journal.count(*s, counter)).sum::<u64>();
+    let counted = |counter| Stage::ALL.iter().map(|s| journal.count_run(*s, counter)).sum::<u64>();
     for (name, count) in [
         ("triangles", plan.facts.triangles as u64),
         ("texels", lit.atlas.texels.len() as u64),
         ("buried_texels", lit.texels.buried.iter().filter(|b| **b).count() as u64),
         ("charts", lit.atlas.charts.len() as u64),
         ("surfels", lit.transport.surfels),
+        ("primary_photons", counted("primary_photons")),
+        ("direct_photons", counted("direct_photons")),
         ("continuous_rays", counted("continuous_rays")),
         ("discrete_rays", counted("discrete_rays")),
     ] {
         report.counters.insert(name.into(), count);
     }
-    quality(report, lit);
+    quality(report, plan, lit, settings, journal);
+    if settings.bound && !settings.states_bound() {
+        let mode = settings.gather_mode().write();
+        let message = format!(
+            "the gather mode {mode} states no error bound, so no bound image is written; --gather lightcuts states one"
+        );
+        warn(report, "no-bound", message);
+    }
     if let Some(miss) = &lit.transport.miss {
         warn(report, "cache-miss", miss.clone());
     }
@@ -57,9 +83,10 @@ pub fn fill(report: &mut Report, scene: &Scene, plan: &Plan, lit: &Lit, journal:
     if !scene.instances.is_empty() && plan.facts.receivers == 0 {
         warn(report, "nothing-receives", "nothing in the scene receives a lightmap");
     }
-    if let Some(solve) = &lit.transport.solve {
-        report.table1 = Some(table1(plan, lit, journal, solve, seconds));
-        report.energy = Some(energy(lit, solve));
+    if let Some(record) = &lit.transport.record {
+        let state = journal.state(Stage::Propagate).unwrap_or_default();
+        report.table1 = Some(Table1 { state, ..table1(plan, lit, journal, record, seconds) });
+        report.energy = Some(EnergyLedger { state, ..record.energy.clone() });
     }
 }
 
@@ -68,7 +95,7 @@ fn warn(report: &mut Report, code: &str, message: impl Into<String>) {
 }
 
 /// Figures by which a result can be judged; sums in f64 in the order of texels.
-fn quality(report: &mut Report, lit: &Lit) {
+fn quality(report: &mut Report, plan: &Plan, lit: &Lit, settings: &Settings, journal: &Journal) {
     let (mut area, mut direct, mut indirect, mut bound) = (0.0, 0.0, 0.0, 0.0);
     let light = &lit.texels;
     for (i, texel) in lit.atlas.texels.iter().enumerate() {
@@ -88,15 +115,22 @@ fn quality(report: &mut Report, lit: &Lit) {
         put("mean_irradiance_lux", (direct + indirect) / area);
         put("mean_direct_lux", direct / area);
         put("mean_indirect_lux", indirect / area);
-        put("mean_bound_lux", bound / area);
+        if settings.states_bound() || !plan.runs(Stage::Gather) {
+            put("mean_bound_lux", bound / area);
+        }
     }
     put("atlas_utilisation", lit.atlas_report.utilisation);
     put("texels_per_unit", lit.atlas_report.density);
-    if let Some(solve) = &lit.transport.solve {
-        put("tail", solve.tail);
-        if let Some(rows) = &solve.rows {
-            put("mean_row_sum", rows.mean);
-            put("row_sum_defect", rows.defect());
+    let cuts = journal.count(Stage::Gather, "gathered_texels");
+    if cuts > 0 && settings.states_bound() {
+        put("mean_cut", journal.count(Stage::Gather, "clusters") as f64 / cuts as f64);
+        put("longest_cut", journal.count(Stage::Gather, "longest_cut") as f64);
+    }
+    if let Some(record) = &lit.transport.record {
+        put("tail", record.tail);
+        if let Some([mean, defect]) = record.rows {
+            put("mean_row_sum", mean);
+            put("row_sum_defect", defect);
         }
     }
 }
@@ -115,44 +149,40 @@ fn atlas_warnings(report: &mut Report, lit: &Lit) {
     }
 }
 
-fn table1(
-    plan: &Plan,
-    lit: &Lit,
-    journal: &Journal,
-    solve: &luxel_transport::solve::SolveReport,
-    seconds: f64,
-) -> Table1 {
-    let gathered = [Stage::Direct, Stage::Sky, Stage::Gather];
+fn table1(plan: &Plan, lit: &Lit, journal: &Journal, record: &Record, seconds: f64) -> Table1 {
     let sum = |stages: &[Stage]| stages.iter().map(|s| journal.seconds(*s)).sum::<f64>();
-    let tracing = [Stage::Shoot, Stage::Direct, Stage::Sky, Stage::Gather];
+    let tracing = [Stage::Shoot, Stage::Refresh, Stage::Direct, Stage::Sky, Stage::Gather];
+    let traced = tracing.iter().map(|s| journal.count_run(*s, "continuous_rays")).sum();
     Table1 {
         triangles: plan.facts.triangles as u64,
         voxels: lit.transport.surfels,
-        light_path_length: solve.path_length() as u64,
-        voxel_directions: solve.bounces.first().map_or(0, |b| u64::from(b.directions)),
+        light_path_length: record.path_length,
+        voxel_directions: record.directions,
         primary_photons: journal.count(Stage::Shoot, "primary_photons"),
         direct_photons: journal.count(Stage::Shoot, "direct_photons"),
         continuous_rays: tracing.iter().map(|s| journal.count(*s, "continuous_rays")).sum(),
-        discrete_rays: solve.discrete_rays,
-        propagation_seconds: sum(&[Stage::Surfels, Stage::Shoot, Stage::Propagate]),
+        discrete_rays: record.discrete_rays,
+        propagation_seconds: sum(&[Stage::Surfels, Stage::Shoot, Stage::Propagate, Stage::Refresh]),
         linear_method_seconds: journal.seconds(Stage::Propagate),
-        reconstruction_seconds: sum(&gathered),
+        reconstruction_seconds: sum(&[Stage::Direct, Stage::Sky, Stage::Gather]),
         overall_seconds: seconds,
         ..Table1::default()
     }
-    .with_rates(sum(&tracing))
+    .with_rates(traced, sum(&tracing))
 }
 
-/// The solver's books, in lumens.
-fn energy(lit: &Lit, solve: &luxel_transport::solve::SolveReport) -> EnergyLedger {
-    let scale = lit.transport.scale;
-    let ledger = solve.ledger.scaled(1.0 / (scale * scale));
-    EnergyLedger {
-        emitted: ledger.shot.to_array(),
-        from_sky: ledger.sky.to_array(),
-        absorbed: ledger.absorbed.to_array(),
-        escaped: ledger.escaped.to_array(),
-        remaining: ledger.in_flight.to_array(),
-        defect: ledger.imbalance.to_array(),
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    #[test]
+    fn settings_keep_their_kind() {
+        assert_eq!(json_form("64"), json!(64));
+        assert_eq!(json_form("true"), json!(true));
+        assert_eq!(json_form("1,0.5,2"), json!([1, 0.5, 2]));
+        for text in ["side:128", "auto", "none", "1,1,1/2,2,2/3,3,3", "a,b.hdr", ""] {
+            assert_eq!(json_form(text), json!(text));
+        }
     }
 }

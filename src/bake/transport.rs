@@ -12,11 +12,12 @@ use luxel_transport::{
     octree::Octree,
     rays::Rays,
     shoot::{self, PhotonSettings},
-    solve::{SolveReport, SolveSettings, is_closed, solve},
+    solve::{SolveSettings, is_closed, solve},
     surfel::{Resolution, Solution, Surfels, VoxelSettings},
 };
 
-use super::journal::{Counters, Journal};
+use super::journal::Journal;
+use super::record::Record;
 use super::{direct, input};
 use crate::Error;
 use crate::plan::{Plan, Stage};
@@ -33,12 +34,14 @@ const POINTS: u32 = 5;
 const PHOTONS_PER_POINT: u32 = 256;
 
 /// The settings that the light at surfels depends on.
-const KEY_SETTINGS: [&str; 18] = [
+const KEY_SETTINGS: [&str; 20] = [
     "sky",
     "sky_rotation",
     "sky_strength",
     "light_scale",
     "emissive_scale",
+    "lamp_radius",
+    "sun_angle",
     "metal_diffuse",
     "bake_animated",
     "voxels",
@@ -70,10 +73,8 @@ pub struct Transport {
 #[derive(Clone, Debug, Default)]
 pub struct Facts {
     pub surfels: u64,
-    /// None where the cache was reused.
-    pub solve: Option<SolveReport>,
-    /// Frame units per scene unit.
-    pub scale: f64,
+    /// How the light at surfels came about, in this bake or in the one that stored it.
+    pub record: Option<Record>,
     /// Why a stored cache was of no use, if one was there.
     pub miss: Option<String>,
 }
@@ -92,24 +93,27 @@ impl Store {
     }
 
     /// The stored light, if it is this bake's.
-    fn read(&self, triangles: usize) -> Result<(Surfels, Solution), String> {
+    fn read(&self, triangles: usize) -> Result<(Surfels, Solution, Record), String> {
         let body = store::read(&self.path, store::OCTREE, &self.key).map_err(|miss| match miss {
             // An ordinary change of input or settings is no cause for a warning.
             Miss::Absent | Miss::OtherKey => String::new(),
             miss => format!("{}: the stored light is made anew: {miss}", self.path.display()),
         })?;
         let foreign = |why: String| format!("{}: the stored light is made anew: {why}", self.path.display());
-        let octree = Octree::from_bytes(&body, body.len()).map_err(|e| foreign(e.to_string()))?;
+        let (record, body) = Record::split(&body).map_err(foreign)?;
+        let octree = Octree::from_bytes(body, body.len()).map_err(|e| foreign(e.to_string()))?;
         if !octree.fits(triangles) {
             return Err(foreign("it belongs to another scene".into()));
         }
-        Ok(octree.unpack())
+        let (surfels, solution) = octree.unpack();
+        Ok((surfels, solution, record))
     }
 
-    fn write(&self, octree: &Octree) -> Result<u64, Error> {
-        let body = octree.to_bytes()?;
-        store::write(&self.path, store::OCTREE, &self.key, &body)
-            .map_err(|source| Error::Store { path: self.path.clone(), source })?;
+    fn write(&self, octree: &Octree, record: &Record) -> Result<u64, Error> {
+        let failed = |source| Error::Store { path: self.path.clone(), source };
+        let mut body = record.to_bytes().map_err(|e| failed(std::io::Error::other(e)))?;
+        body.extend(octree.to_bytes()?);
+        store::write(&self.path, store::OCTREE, &self.key, &body).map_err(failed)?;
         Ok(body.len() as u64)
     }
 }
@@ -131,34 +135,48 @@ pub fn run(
     journal: &mut Journal,
 ) -> Result<Transport, Error> {
     let emitters = Emitters::new(rays.geometry);
-    let mut facts = Facts { scale: rays.geometry.frame.scale, ..Facts::default() };
+    let mut facts = Facts::default();
     if !plan.runs(Stage::Surfels) {
         skip(plan, journal);
         return Ok(Transport { emitters, surfels: None, facts });
     }
     if let Some(store) = store {
         match store.read(rays.geometry.triangles.len()) {
-            Ok((surfels, solution)) => {
-                for stage in STORED.into_iter().chain([Stage::Cache]) {
-                    let reason = "the stored light was made from the same input and settings";
-                    journal.note(stage, StageState::Reused, reason, 0.0, Counters::new());
-                }
+            Ok((surfels, solution, record)) => {
+                reuse(&record, plan, journal);
                 facts.surfels = surfels.list.len() as u64;
+                facts.record = Some(record);
                 return Ok(Transport { emitters, surfels: Some((surfels, solution)), facts });
             }
             Err(miss) => facts.miss = (!miss.is_empty()).then_some(miss),
         }
     }
-    let (surfels, solution) = made(rays, &emitters, settings, plan, &mut facts, journal)?;
+    let (surfels, solution, mut record) = made(rays, &emitters, settings, plan, journal)?;
+    facts.surfels = surfels.list.len() as u64;
+    record.counters = STORED.map(|stage| (stage.name().to_owned(), journal.counters(stage))).into_iter().collect();
     journal.run(plan, Stage::Cache, Some(0), |_, counters| {
         let octree = Octree::new(&surfels, &solution);
         counters.insert("nodes".into(), octree.nodes().len() as u64);
         if let Some(store) = store {
-            counters.insert("bytes".into(), store.write(&octree)?);
+            counters.insert("bytes".into(), store.write(&octree, &record)?);
         }
         Ok(())
     })?;
+    facts.record = Some(record);
     Ok(Transport { emitters, surfels: Some((surfels, solution)), facts })
+}
+
+/// Writes the stages down that stored light stands for, with what they counted when they ran.
+fn reuse(record: &Record, plan: &Plan, journal: &mut Journal) {
+    for stage in STORED.into_iter().chain([Stage::Cache]) {
+        if plan.runs(stage) {
+            let reason = "the stored light was made from the same input and settings";
+            let counters = record.counters.get(stage.name()).cloned().unwrap_or_default();
+            journal.note(stage, StageState::Reused, reason, 0.0, counters);
+        } else {
+            journal.left_out(plan, stage);
+        }
+    }
 }
 
 /// Surfels and the light at them, from scratch.
@@ -167,9 +185,8 @@ fn made(
     emitters: &Emitters,
     settings: &Settings,
     plan: &Plan,
-    facts: &mut Facts,
     journal: &mut Journal,
-) -> Result<(Surfels, Solution), Error> {
+) -> Result<(Surfels, Solution, Record), Error> {
     let geometry = rays.geometry;
     let surfels = journal.always(Stage::Surfels, plan.reason(Stage::Surfels), None, |progress, counters| {
         let surfels = Surfels::new(geometry, &voxel_settings(settings), progress)?;
@@ -177,14 +194,15 @@ fn made(
         Ok(surfels)
     })?;
     let count = surfels.list.len() as u64;
-    facts.surfels = count;
-    let direct = journal.run(plan, Stage::Shoot, Some(count * u64::from(POINTS)), |progress, counters| {
+    let points = if direct::is_crowded(geometry, emitters) { 1 } else { POINTS };
+    // How many groups the photons make is known to the shooting alone.
+    let work = if settings.photons.0 > 0 { 0 } else { count * u64::from(points) };
+    let direct = journal.run(plan, Stage::Shoot, Some(work), |progress, counters| {
         let shot = if settings.photons.0 > 0 {
             let primary = settings.photons.0.div_ceil(PHOTONS_PER_POINT);
             let how = PhotonSettings { primary, directions: PHOTONS_PER_POINT };
             shoot::photons(rays, emitters, &surfels, how, progress)?
         } else {
-            let points = if direct::is_crowded(geometry, emitters) { 1 } else { POINTS };
             direct::with(rays, emitters, settings, |direct| {
                 Ok(shoot::exact(geometry, &surfels, direct, points, progress)?)
             })?
@@ -198,7 +216,7 @@ fn made(
 
     let sky = &geometry.scene.sky;
     let radiance = |direction| sky.radiance(direction);
-    let mut solution =
+    let (mut solution, record) =
         journal.always(Stage::Propagate, plan.reason(Stage::Propagate), None, |progress, counters| {
             let how = solve_settings(rays, &surfels, settings);
             let (solution, report) = solve(&surfels, &direct, &how, is_lit(sky).then_some(&radiance), progress)?;
@@ -206,8 +224,7 @@ fn made(
             counters.insert("stiff_steps".into(), u64::from(report.stiff_steps));
             counters.insert("discrete_rays".into(), report.discrete_rays);
             counters.insert("closed".into(), u64::from(how.closed));
-            facts.solve = Some(report);
-            Ok(solution)
+            Ok((solution, Record::new(&report, geometry.frame.scale)))
         })?;
     let refreshed = journal.run(plan, Stage::Refresh, Some(count), |progress, counters| {
         let field = Field::new(rays, &surfels, &solution)?;
@@ -217,7 +234,7 @@ fn made(
     if let Some(refreshed) = refreshed {
         solution = refreshed;
     }
-    Ok((surfels, solution))
+    Ok((surfels, solution, record))
 }
 
 fn is_lit(sky: &Sky) -> bool {

@@ -132,7 +132,11 @@ fn each(task: &Job, mut work: impl FnMut(&Found, &Reporter) -> Result<(), Error>
             Ok(()) => {}
             Err(Error::Cancelled) => {
                 reporter.finish();
-                say("interrupted; nothing of this scene was written");
+                if task.style == Style::Json {
+                    event(&json!({ "event": "interrupted", "scene": name }));
+                } else {
+                    say("interrupted; nothing of this scene was written");
+                }
                 return Ok(INTERRUPTED);
             }
             Err(error) => {
@@ -192,10 +196,27 @@ mod tests {
     }
 
     #[test]
+    fn an_internal_error_fails_its_scene_and_the_others_go_on() {
+        let found = |path: &str| Found { scene: path.into(), root: None };
+        let task = Job {
+            found: vec![found("a.glb"), found("b.glb"), found("c.glb")],
+            config: None,
+            style: Style::Quiet,
+            cancelled: Arc::default(),
+        };
+        let mut done = Vec::new();
+        let code = each(&task, |found, _| {
+            done.push(found.scene.clone());
+            if found.scene == Path::new("b.glb") { Err(Error::Internal { what: "burst".into() }) } else { Ok(()) }
+        });
+        assert_eq!((code.unwrap(), done.len()), (SOME_FAILED, 3));
+    }
+
+    #[test]
     fn a_file_beside_the_scene_counts_unless_another_is_named() {
         let folder = tempfile::tempdir().unwrap();
         let scene = folder.path().join("a.gltf");
-        std::fs::write(&scene, r#"{"scenes":[{"extras":{"luxel":{"padding":5}}}]}"#).unwrap();
+        std::fs::write(&scene, r#"{"asset":{"version":"2.0"},"scenes":[{"extras":{"luxel":{"padding":5}}}]}"#).unwrap();
         std::fs::write(folder.path().join("luxel.toml"), "size = 128\npadding = 3").unwrap();
         let none = Layer::new(Origin::CommandLine);
         let resolved = settings(&scene, None, &none).unwrap();

@@ -96,11 +96,14 @@ settings! {
         ["choice"] only: Only = Only::All;
         /// Which side's irradiance the texels of a double-sided material hold.
         ["choice"] double_sided: DoubleSided = DoubleSided::Front;
-        /// Writes NAME.bound.exr too: the stated error bound of the indirect light, in lux.
+        /// Writes NAME.bound.exr too: the stated error bound of the light that lightcuts gather (all that surfaces
+        /// reflect), in lux. Sky light straight to a texel and the direct light of very many lamps are not in it; the
+        /// modes final and lookup state none.
         ["switch"] bound: bool = false;
     }
     "Light" {
-        /// Radiance from outside in cd/m²: a colour, a gradient by elevation, or an equirectangular image.
+        /// Radiance from outside in cd/m²: a colour, a gradient by elevation, or an equirectangular image. A file may
+        /// hold a table [sky] instead: color, or zenith, horizon and ground, or image; rotation; strength.
         ["cd/m²"] sky: SkySetting = SkySetting::None;
         /// Turns an image sky about the vertical, counter-clockwise seen from above.
         ["degrees"] sky_rotation: Degrees = Degrees(0.0);
@@ -110,6 +113,10 @@ settings! {
         ["factor"] light_scale: Factor = Factor(1.0);
         /// Factor on emissive surfaces, for exporters with other units.
         ["factor"] emissive_scale: Factor = Factor(1.0);
+        /// Radius of point lights and spots without the extra luxel_radius, for soft shadows.
+        ["scene units"] lamp_radius: Factor = Factor(0.0);
+        /// Angular diameter of directional lights without the extra luxel_angle, for soft shadows; the sun has 0.53.
+        ["degrees"] sun_angle: Diameter = Diameter(0.0);
         /// Share of a fully rough metal's colour that counts as diffuse.
         ["share"] metal_diffuse: Share = Share(0.5);
         /// Bakes skinned, morphed and animated nodes in their rest pose instead of leaving them out.
@@ -192,6 +199,11 @@ impl Settings {
                 ..medium
             },
         }
+    }
+
+    /// The gather's mode states an error bound.
+    pub fn states_bound(&self) -> bool {
+        matches!(self.gather_mode(), GatherMode::Auto | GatherMode::Lightcuts)
     }
 
     /// `gather` with `auto` decided.

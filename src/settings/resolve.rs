@@ -3,6 +3,8 @@
 use std::fmt;
 use std::path::{Path, PathBuf};
 
+use serde_json::Value as Json;
+
 use super::{FIELDS, Field, Preset, Settings, SkySetting, value::Value};
 
 /// Largest settings file that is read [bytes].
@@ -44,6 +46,8 @@ pub enum SettingsError {
     Value { origin: Origin, name: &'static str, text: String, form: String },
     #[error("{origin}: `{name}` holds a {found}; expected {form}")]
     Kind { origin: Origin, name: String, found: &'static str, form: String },
+    #[error("{origin}: `sky`: {what}")]
+    Sky { origin: Origin, what: String },
     #[error("{path} is not valid TOML")]
     Toml { path: PathBuf, source: Box<toml::de::Error> },
     #[error("cannot read the settings in {path}")]
@@ -108,41 +112,22 @@ impl Layer {
             },
             source: Box::new(e),
         })?;
-        let mut layer = Self::new(origin);
-        for (name, value) in table {
-            let text = match &value {
-                toml::Value::Array(items) => items.iter().map(plain).collect::<Option<Vec<_>>>().map(|v| v.join(",")),
-                value => plain(value),
-            };
-            layer.take(&name, text, value.type_str())?;
+        // A date is no value of any setting, and becomes an object here.
+        match serde_json::to_value(table) {
+            Ok(Json::Object(object)) => Self::from_json(&object, origin),
+            _ => Ok(Self::new(origin)),
         }
-        Ok(layer)
     }
 
-    /// The keys of a JSON object, as scenes carry them in their extras.
-    pub fn from_json(
-        object: &serde_json::Map<String, serde_json::Value>,
-        origin: Origin,
-    ) -> Result<Self, SettingsError> {
-        use serde_json::Value as Json;
-        fn plain(value: &Json) -> Option<String> {
-            match value {
-                Json::String(s) => Some(s.clone()),
-                Json::Number(n) => Some(n.to_string()),
-                Json::Bool(b) => Some(b.to_string()),
-                _ => None,
-            }
-        }
+    /// The keys of a JSON object, as scenes carry them in their extras. A table `sky` stands for the settings of the
+    /// sky together.
+    pub fn from_json(object: &serde_json::Map<String, Json>, origin: Origin) -> Result<Self, SettingsError> {
         let mut layer = Self::new(origin);
         for (name, value) in object {
-            let (text, kind) = match value {
-                Json::Array(items) => {
-                    (items.iter().map(plain).collect::<Option<Vec<_>>>().map(|v| v.join(",")), "list")
-                }
-                Json::Object(_) => (None, "table"),
-                value => (plain(value), "null"),
-            };
-            layer.take(name, text, kind)?;
+            match value {
+                Json::Object(table) if name == "sky" => layer.take_sky(table)?,
+                value => layer.take(name, plain(value), kind(value))?,
+            }
         }
         Ok(layer)
     }
@@ -171,6 +156,34 @@ impl Layer {
         }
     }
 
+    /// `[sky]`: `color`, or `zenith`, `horizon` and `ground`, or `image`; `rotation`; `strength`.
+    fn take_sky(&mut self, table: &serde_json::Map<String, Json>) -> Result<(), SettingsError> {
+        let refused = |what: String| SettingsError::Sky { origin: self.origin.clone(), what };
+        if let Some(key) = table.keys().find(|k| !SKY_KEYS.contains(&k.as_str())) {
+            let near = alike(key, SKY_KEYS.into_iter());
+            return Err(refused(format!("there is no key `{key}`{}", did_you_mean(&near))));
+        }
+        let text = |key: &str| {
+            table.get(key).map(|v| plain(v).ok_or_else(|| refused(format!("`{key}` holds a {}", kind(v))))).transpose()
+        };
+        let [color, zenith, horizon, ground, image, rotation, strength] = SKY_KEYS.map(text);
+        let (rotation, strength) = (rotation?, strength?);
+        let sky = match (color?, zenith?, horizon?, ground?, image?) {
+            (Some(color), None, None, None, None) => Some(color),
+            (None, Some(z), Some(h), Some(g), None) => Some(format!("{z}/{h}/{g}")),
+            (None, None, None, None, Some(image)) => Some(image),
+            (None, None, None, None, None) => None,
+            _ => {
+                let what = "one of `color`, `image`, or all of `zenith`, `horizon` and `ground` describe it";
+                return Err(refused(what.into()));
+            }
+        };
+        for (name, text) in [("sky", sky), ("sky_rotation", rotation), ("sky_strength", strength)] {
+            text.map_or(Ok(()), |text| self.set(name, &text))?;
+        }
+        Ok(())
+    }
+
     fn take(&mut self, name: &str, text: Option<String>, kind: &'static str) -> Result<(), SettingsError> {
         match (text, Field::find(name)) {
             (Some(text), _) => self.set(name, &text),
@@ -189,22 +202,41 @@ impl Layer {
     }
 }
 
-fn plain(value: &toml::Value) -> Option<String> {
+/// The keys of the table `sky`.
+const SKY_KEYS: [&str; 7] = ["color", "zenith", "horizon", "ground", "image", "rotation", "strength"];
+
+/// The written form of a value of a file; none for one that has none.
+fn plain(value: &Json) -> Option<String> {
     match value {
-        toml::Value::String(s) => Some(s.clone()),
-        toml::Value::Integer(i) => Some(i.to_string()),
-        toml::Value::Float(x) => Some(x.to_string()),
-        toml::Value::Boolean(b) => Some(b.to_string()),
+        Json::String(s) => Some(s.clone()),
+        // 64.0 is written 64, as exporters mean it.
+        Json::Number(n) if n.is_f64() => n.as_f64().map(|x| x.to_string()),
+        Json::Number(n) => Some(n.to_string()),
+        Json::Bool(b) => Some(b.to_string()),
+        Json::Array(items) if items.iter().all(|i| !i.is_array()) => {
+            items.iter().map(plain).collect::<Option<Vec<_>>>().map(|v| v.join(","))
+        }
         _ => None,
+    }
+}
+
+/// What a value without a written form is, for messages.
+fn kind(value: &Json) -> &'static str {
+    match value {
+        Json::Array(_) => "list",
+        Json::Object(_) => "table",
+        _ => "null",
     }
 }
 
 /// The setting whose name is written most alike, if any is.
 fn nearest(name: &str) -> Option<&'static str> {
-    let wanted = name.replace('-', "_").to_lowercase();
-    FIELDS
-        .iter()
-        .map(|f| (strsim::jaro_winkler(&wanted, f.name), f.name))
+    alike(&name.replace('-', "_").to_lowercase(), FIELDS.iter().map(|f| f.name))
+}
+
+fn alike(wanted: &str, names: impl Iterator<Item = &'static str>) -> Option<&'static str> {
+    names
+        .map(|name| (strsim::jaro_winkler(wanted, name), name))
         .filter(|(likeness, _)| *likeness > 0.75)
         .max_by(|a, b| a.0.total_cmp(&b.0))
         .map(|(_, name)| name)
@@ -314,6 +346,33 @@ mod tests {
         let json = serde_json::json!({"sky": [1, 0.5, 2], "size": 64, "bound": true});
         let layer = Layer::from_json(json.as_object().unwrap(), Origin::Extras("a.glb".into())).unwrap();
         assert_eq!(resolve(&[layer]).unwrap().settings.sky.write(), "1,0.5,2");
+    }
+
+    #[test]
+    fn a_table_describes_the_sky() {
+        let sky = |text: &str| resolve(&[file(text)?]).map(|r| r.settings);
+        let constant = sky("size = 64\n[sky]\ncolor = [1, 0.5, 2.0]\nrotation = 30\nstrength = 2.5").unwrap();
+        assert_eq!(constant.sky.write(), "1,0.5,2");
+        assert_eq!((constant.sky_rotation.0, constant.sky_strength.0), (30.0, 2.5));
+        let gradient = sky("[sky]\nzenith = [0, 0, 3]\nhorizon = [1, 1, 1]\nground = [0, 0, 0]").unwrap();
+        assert_eq!(gradient.sky.write(), "0,0,3/1,1,1/0,0,0");
+        assert_eq!(sky("sky = { image = \"noon.hdr\" }").unwrap().sky, SkySetting::Image("noon.hdr".into()));
+        assert_eq!(sky("[sky]\nstrength = 3").unwrap().sky, SkySetting::None, "the sky may come from another layer");
+        for (text, expected) in [
+            ("[sky]\nrotaton = 3", "did you mean `rotation`?"),
+            ("[sky]\ncolor = [1, 1, 1]\nimage = \"a.hdr\"", "one of `color`"),
+            ("[sky]\nzenith = [1, 1, 1]", "all of `zenith`"),
+            ("[sky]\ncolor = [[1], 1, 1]", "`color` holds a list"),
+            ("[sky]\ncolor = [1, 1]", "does not fit"),
+            ("[sky]\nstrength = -1", "sky_strength"),
+            ("sky = 1979-05-27", "`sky`"),
+        ] {
+            let message = sky(text).unwrap_err().to_string();
+            assert!(message.contains(expected) && message.starts_with("luxel.toml: "), "{text}: {message}");
+        }
+        let json = serde_json::json!({"sky": {"color": [1.0, 2, 3]}});
+        let layer = Layer::from_json(json.as_object().unwrap(), Origin::Extras("a.glb".into())).unwrap();
+        assert_eq!(resolve(&[layer]).unwrap().settings.sky.write(), "1,2,3");
     }
 
     #[test]

@@ -49,6 +49,7 @@ number!(Samples, u32, 1, 65536, "a whole number from 1 to 65536");
 number!(Factor, f32, 0.0, 1e30, "a number from 0 upwards");
 number!(Share, f32, 0.0, 1.0, "a number from 0 to 1");
 number!(Tolerance, f32, 1e-7, 0.5, "a number from 1e-7 to 0.5");
+number!(Diameter, f32, 0.0, 180.0, "an angle from 0 to 180 degrees");
 number!(Degrees, f32, -36000.0, 36000.0, "an angle in degrees");
 
 impl Value for bool {

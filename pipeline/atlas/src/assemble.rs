@@ -47,7 +47,8 @@ pub fn assemble(
 ) -> Result<(Atlas, AtlasReport), AtlasError> {
     settings.check()?;
     let blocks = blocks::blocks(scene, layout, unwraps)?;
-    let placement = place::place(&blocks, settings, progress)?;
+    let name = |instance: u32| scene.instances[instance as usize].name.clone();
+    let placement = place::place(&blocks, settings, &name, progress)?;
     progress.begin("texels", blocks.len() as u64);
     let seeds = Seeds::new(scene, layout);
     let side = settings.size;

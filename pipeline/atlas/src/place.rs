@@ -39,12 +39,14 @@ pub(crate) struct Placement {
     pub occupied: u64,
 }
 
+/// `name` is what an instance is called in messages.
 pub(crate) fn place(
     blocks: &[Block],
     settings: &AtlasSettings,
+    name: &dyn Fn(u32) -> String,
     progress: &dyn Progress,
 ) -> Result<Placement, AtlasError> {
-    let placer = Placer { blocks, settings, progress, groups: groups(blocks) };
+    let placer = Placer { blocks, settings, name, progress, groups: groups(blocks) };
     progress.begin("pack", u64::from(STEPS) + 2);
     if blocks.is_empty() {
         return Ok(Placement::default());
@@ -70,6 +72,7 @@ fn groups(blocks: &[Block]) -> Vec<std::ops::Range<usize>> {
 struct Placer<'a> {
     blocks: &'a [Block],
     settings: &'a AtlasSettings,
+    name: &'a dyn Fn(u32) -> String,
     progress: &'a dyn Progress,
     groups: Vec<std::ops::Range<usize>>,
 }
@@ -211,8 +214,8 @@ impl Placer<'_> {
         let first = &self.blocks[blocks.start];
         let mut best = (
             0.0,
-            self.pack(blocks.clone(), 0.0).ok_or(AtlasError::TooManyCharts {
-                instance: first.instances[0] as usize,
+            self.pack(blocks.clone(), 0.0).ok_or_else(|| AtlasError::TooManyCharts {
+                instance: (self.name)(first.instances[0]),
                 charts,
                 size: self.settings.size,
             })?,

@@ -52,10 +52,10 @@ pub enum AtlasError {
     #[error("the charts need more than {limit} pages: lower the texel density or make the pages larger")]
     TooManyPages { limit: u32 },
     #[error(
-        "instance {instance} has {charts} charts, which do not fit on a page of {size} × {size} texels at one texel \
-         each: make the page larger"
+        "\"{instance}\" has {charts} charts, which do not fit on a page of {size} × {size} texels at one texel each, and \
+         all charts of an object share a page: make the page larger, or split the object"
     )]
-    TooManyCharts { instance: usize, charts: usize, size: u32 },
+    TooManyCharts { instance: String, charts: usize, size: u32 },
     #[error("instance \"{instance}\" has the texel scale {scale}: it must be positive")]
     TexelScale { instance: String, scale: f32 },
     #[error("the scene's surfaces are too large or too small to be measured")]

@@ -8,9 +8,12 @@ pub enum ExportError {
     /// Reading or writing a file failed.
     #[error("cannot {what} {}: {source}", path.display())]
     Io { what: &'static str, path: PathBuf, source: std::io::Error },
-    /// The scene file breaks the glTF specification at a place that the export needs.
-    #[error("{}: {place}: {fault}", path.display())]
-    Scene { path: PathBuf, place: String, fault: String },
+    /// The scene file breaks the glTF specification or a limit at a place that the export needs.
+    #[error(transparent)]
+    Scene(#[from] luxel_scene::ImportError),
+    /// A file of the scene is another one than was baked.
+    #[error("{}: it has changed while it was baked; bake again", path.display())]
+    Changed { path: PathBuf },
     /// An image holds a value that is no light, or has the wrong size.
     #[error("{what}: {fault}")]
     Image { what: String, fault: String },

@@ -28,11 +28,6 @@ pub fn encode_png(image: &Image8) -> Result<Vec<u8>, ExportError> {
     Ok(bytes)
 }
 
-/// Writes a PNG file atomically.
-pub fn write_png(path: &std::path::Path, image: &Image8) -> Result<(), ExportError> {
-    crate::write_atomic(path, &encode_png(image)?)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -21,13 +21,16 @@ pub struct Report {
     pub schema: u32,
     /// The scene file as it was named, and its name in messages.
     pub scene: SceneInfo,
-    /// Versions of luxel and of every stage: what decides whether a stored artefact can be used again.
+    /// Versions of `luxel`, of every stage by its name, and of the `octree file`: what decides whether a stored artefact
+    /// can be used again.
     pub versions: BTreeMap<String, String>,
     /// Every setting with its resolved value and where that came from, in the order of the settings' documentation.
     pub settings: Vec<Setting>,
     /// Stages in the order in which they run.
     pub stages: Vec<Stage>,
-    /// Counters of the whole bake: `triangles`, `texels`, `surfels`, `photons`, `continuous_rays`, …
+    /// Counters of the scene and of what this bake itself computed: `triangles`, `texels`, `buried_texels`, `charts`,
+    /// `surfels`, `primary_photons`, `direct_photons`, `continuous_rays`, `discrete_rays`. What reused stages counted
+    /// when they ran is in `stages`.
     pub counters: BTreeMap<String, u64>,
     /// The paper's Table 1 for this scene.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -35,7 +38,9 @@ pub struct Report {
     /// Where the light went.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub energy: Option<EnergyLedger>,
-    /// Figures by which the result's quality can be judged: `mean_row_sum`, `mean_irradiance_lux`, …
+    /// Figures by which the result's quality can be judged: `mean_irradiance_lux` and its parts `mean_direct_lux` and
+    /// `mean_indirect_lux`; `mean_bound_lux`, `mean_cut` and `longest_cut` (clusters) of lightcuts; `mean_row_sum`,
+    /// `row_sum_defect` and `tail` of the propagation; `atlas_utilisation`, `texels_per_unit`.
     pub quality: BTreeMap<String, f64>,
     /// What a person should know, each once.
     pub warnings: Vec<Warning>,
@@ -62,15 +67,16 @@ pub struct Input {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Setting {
     pub name: String,
-    /// A number, word, boolean or list, as in the configuration file.
+    /// A number, boolean, list of numbers, or word.
     pub value: Value,
     /// `default`, `preset medium`, a configuration file's name, `extras` or `command line`.
     pub origin: String,
 }
 
 /// What happened to a stage.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum StageState {
+    #[default]
     #[serde(rename = "ran")]
     Ran,
     #[serde(rename = "reused")]
@@ -86,9 +92,9 @@ pub struct Stage {
     pub state: StageState,
     /// Why it ran, was reused or was left out, in words.
     pub reason: String,
-    /// Wall-clock time; 0 for a stage that was left out.
+    /// Wall-clock time; 0 for a stage that was reused or left out.
     pub seconds: f64,
-    /// What the stage counted.
+    /// What the stage counted; of a reused one, what it counted when it ran.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub counters: BTreeMap<String, u64>,
 }
@@ -96,6 +102,10 @@ pub struct Stage {
 /// The rows of the paper's Table 1 (Piwowar & Malgouyres 2009), for this scene.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Table1 {
+    /// Whether the light at surfels was made in this bake. Where it was reused, the counts are those of the bake that
+    /// made it; times and rates are always this bake's own.
+    #[serde(default)]
+    pub state: StageState,
     /// "number of triangles", instances expanded.
     pub triangles: u64,
     /// "number of voxels": surfels, of which a voxel holds one per orientation.
@@ -116,7 +126,7 @@ pub struct Table1 {
     pub continuous_rays_per_second: f64,
     /// "Rays/sec (discrete)".
     pub discrete_rays_per_second: f64,
-    /// "Propagation Time": shooting and propagation (s).
+    /// "Propagation Time": voxels, shooting, propagation and refresh (s).
     pub propagation_seconds: f64,
     /// "Linear method Time": the discrete sweeps alone (s).
     pub linear_method_seconds: f64,
@@ -129,10 +139,11 @@ pub struct Table1 {
 }
 
 impl Table1 {
-    /// Fills the three rates from counts and times; a rate without time is 0.
-    pub fn with_rates(mut self, continuous_seconds: f64) -> Self {
+    /// Fills the three rates from counts and times; a rate without time is 0. `traced` continuous rays took
+    /// `continuous_seconds`: fewer than there are in all where some of them are a stored bake's.
+    pub fn with_rates(mut self, traced: u64, continuous_seconds: f64) -> Self {
         let rate = |count: u64, seconds: f64| if seconds > 0.0 { count as f64 / seconds } else { 0.0 };
-        self.continuous_rays_per_second = rate(self.continuous_rays, continuous_seconds);
+        self.continuous_rays_per_second = rate(traced, continuous_seconds);
         self.discrete_rays_per_second = rate(self.discrete_rays, self.linear_method_seconds);
         self.discrete_over_continuous = if self.continuous_rays_per_second > 0.0 {
             self.discrete_rays_per_second / self.continuous_rays_per_second
@@ -147,6 +158,9 @@ impl Table1 {
 /// defect` in every band.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct EnergyLedger {
+    /// Whether these are the books of this bake's propagation, or those of the stored light that was reused.
+    #[serde(default)]
+    pub state: StageState,
     /// Flux that lamps and emitters sent to surfaces.
     pub emitted: [f64; 3],
     /// Flux that the sky sent to surfaces.
@@ -257,7 +271,7 @@ mod tests {
             seconds: 0.0,
             counters: BTreeMap::new(),
         });
-        report.table1 = Some(Table1 { continuous_rays: 100, ..Table1::default() }.with_rates(2.0));
+        report.table1 = Some(Table1 { continuous_rays: 100, ..Table1::default() }.with_rates(100, 2.0));
         report.energy = Some(EnergyLedger { emitted: [1.0; 3], ..EnergyLedger::default() });
         report.quality.insert("mean_row_sum".into(), 0.9996);
         report.warnings.push(Warning { code: "no-light".into(), message: "no light".into() });

@@ -4,6 +4,7 @@
 //! |---|---|
 //! | `files` | reads the scene file, its buffers and images; paths, sizes, digests |
 //! | `container` | takes a .glb apart |
+//! | `opened` | the file, its document and its buffers together: what the exporter writes again is read here too |
 //! | `document` | JSON within bounds; version, required extensions; the typed model |
 //! | `references` | all indices of the document lead somewhere |
 //! | `buffers`, `meshopt`, `accessors` | bytes, decompressed views, typed elements |
@@ -33,6 +34,7 @@ mod materials;
 mod meshopt;
 mod nodes;
 mod notes;
+mod opened;
 mod options;
 mod place;
 mod pose;
@@ -45,16 +47,12 @@ mod transform;
 
 use std::path::Path;
 
-pub use error::{Checked, Fault, FaultKind, ImportError};
+pub use error::{Checked, Fault, FaultKind, ImportError, place};
+pub use opened::{Opened, scene_extras};
 pub use options::{ImportOptions, Limits};
 pub use sky::LoadedSky;
 
 use crate::Scene;
-use crate::sky::SkyImage;
-use buffers::Buffers;
-use container::Container;
-use document::Document;
-use files::Files;
 use notes::Notes;
 use place::Placer;
 
@@ -66,24 +64,15 @@ pub fn load(path: &Path, options: &ImportOptions) -> Result<Scene, ImportError> 
     read(path, options).map_err(|fault| fault.in_file(path))
 }
 
-/// Reads an equirectangular sky (.hdr or .exr) with default limits. [`load_sky_with`] also tells what was repaired.
-pub fn load_sky(path: &Path) -> Result<SkyImage, ImportError> {
-    Ok(load_sky_with(path, &Limits::default())?.image)
-}
-
 /// Reads an equirectangular sky (.hdr or .exr) with notices and the digest of the file.
-pub fn load_sky_with(path: &Path, limits: &Limits) -> Result<LoadedSky, ImportError> {
+pub fn load_sky(path: &Path, limits: &Limits) -> Result<LoadedSky, ImportError> {
     sky::load(path, limits)
 }
 
 fn read(path: &Path, options: &ImportOptions) -> Checked<Scene> {
     let mut notes = Notes::default();
-    let mut files = Files::beside(path, &options.limits);
-    let container = Container::parse(files.read(path, "")?)?;
-    let document = Document::parse(&container.json, &options.limits)?;
-    references::check(&document)?;
-    let buffers = Buffers::load(&document, container.bin, &mut files, &options.limits)?;
-    let visits = nodes::walk(&document, &mut notes)?;
+    let Opened { buffers, mut files, .. } = Opened::read(path, &options.limits)?;
+    let visits = nodes::walk(buffers.document(), &mut notes)?;
     let mut placer = Placer::new(&buffers, options);
     for visit in &visits {
         placer.visit(visit, &mut notes)?;

@@ -7,7 +7,7 @@ pub struct Cancelled;
 
 /// A stage's view of whoever is waiting. Rooms report through this and know neither terminal nor clock.
 pub trait Progress: Sync {
-    /// A stage begins; `total` is its amount of work in its own unit.
+    /// A stage begins; `total` is its amount of work in its own unit, 0 where nobody knows it beforehand.
     fn begin(&self, stage: &'static str, total: u64);
     /// `done` more units of the current stage are finished.
     fn advance(&self, done: u64);

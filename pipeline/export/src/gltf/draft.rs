@@ -6,10 +6,10 @@
 
 use std::collections::BTreeSet;
 
+use luxel_scene::import::{Checked, Fault, buffers::MESHOPT};
 use serde_json::{Value, json};
 
 use super::{
-    fault::{Checked, Fault},
     json::{Object, list, list_mut, objects_mut},
     original::{Blob, Original},
     references::{self, Each},
@@ -45,7 +45,7 @@ impl<'a> Draft<'a> {
             Target::Other => {}
         }
         self.views.push((view, bytes));
-        self.original.blobs.len() + self.views.len() - 1
+        self.original.views() + self.views.len() - 1
     }
 
     /// Adds a bufferView whose elements lie `stride` bytes apart.
@@ -72,35 +72,31 @@ impl<'a> Draft<'a> {
         let new = std::mem::take(&mut self.accessors);
         settle(&mut self.root, "accessors", references::accessors, new, &was_used, &possible)?;
         let was_used = references::used(&mut before, references::views);
-        let mut blobs: Vec<&[u8]> = Vec::new();
-        for i in 0..self.original.blobs.len() {
-            blobs.push(self.original.view(i)?);
-        }
-        possible.retain(|i| *i < blobs.len());
+        possible.retain(|i| *i < self.original.views());
         let (json, new_blobs): (Vec<Value>, Vec<Vec<u8>>) = std::mem::take(&mut self.views).into_iter().unzip();
         let slots = settle(&mut self.root, "bufferViews", references::views, json, &was_used, &possible)?;
-        let mut sources: Vec<Source> = self.original.blobs.iter().map(Source::from).collect();
+        let mut sources = (0..self.original.views()).map(|i| self.original.blob(i)).collect::<Checked<Vec<Blob>>>()?;
         for (slot, bytes) in slots.into_iter().zip(&new_blobs) {
             match sources.get_mut(slot) {
-                Some(source) => *source = Source::Bytes(bytes),
-                None => sources.push(Source::Bytes(bytes)),
+                Some(source) => *source = Blob::Bytes(bytes),
+                None => sources.push(Blob::Bytes(bytes)),
             }
         }
         let bin = self.lay_out(&sources)?;
-        let json = serde_json::to_vec(&self.root).map_err(|e| Fault::new("JSON", e.to_string()))?;
+        let json = serde_json::to_vec(&self.root).map_err(|e| Fault::invalid("JSON", e.to_string()))?;
         super::glb_bytes(json, &bin)
     }
 
     /// Puts all bufferViews into one buffer. Views that share bytes of a source buffer go on sharing them; bytes that
     /// no view names are left out.
-    fn lay_out(&mut self, sources: &[Source]) -> Checked<Vec<u8>> {
+    fn lay_out(&mut self, sources: &[Blob]) -> Checked<Vec<u8>> {
         let mut bin = Vec::new();
         let mut offsets = vec![0; sources.len()];
         let mut ranges: Vec<(usize, usize, usize, usize)> = Vec::new();
         for (i, source) in sources.iter().enumerate() {
             match source {
-                Source::Range(buffer, start, end) => ranges.push((*buffer, *start, *end, i)),
-                Source::Bytes(bytes) => {
+                Blob::Range { buffer, range } => ranges.push((*buffer, range.start, range.end, i)),
+                Blob::Bytes(bytes) => {
                     bin.resize(bin.len().next_multiple_of(4), 0);
                     offsets[i] = bin.len();
                     bin.extend_from_slice(bytes);
@@ -120,7 +116,7 @@ impl<'a> Draft<'a> {
                 }
             };
             if end > copied {
-                bin.extend_from_slice(&self.original.buffers[buffer][copied..end]);
+                bin.extend_from_slice(&self.original.buffers.bytes(buffer)[copied..end]);
             }
             run = Some((buffer, end.max(copied), shift));
             offsets[i] = shift.wrapping_add(start);
@@ -148,23 +144,9 @@ impl<'a> Draft<'a> {
             _ => Object::new(),
         };
         buffer.shift_remove("uri");
-        super::meshopt::NAMES.iter().for_each(|n| super::json::remove_extension(&mut buffer, n));
+        MESHOPT.iter().for_each(|n| super::json::remove_extension(&mut buffer, n));
         buffer.insert("byteLength".into(), length.into());
         self.root.insert("buffers".into(), Value::Array(vec![Value::Object(buffer)]));
-    }
-}
-
-enum Source<'a> {
-    Range(usize, usize, usize),
-    Bytes(&'a [u8]),
-}
-
-impl<'a> From<&'a Blob> for Source<'a> {
-    fn from(blob: &'a Blob) -> Self {
-        match blob {
-            Blob::Range { buffer, start, end } => Self::Range(*buffer, *start, *end),
-            Blob::Owned(bytes) => Self::Bytes(bytes),
-        }
     }
 }
 

@@ -1,10 +1,9 @@
 //! EXT_mesh_gpu_instancing turned into nodes: every instance needs its own place in the lightmap.
 
+use luxel_scene::import::{Checked, Fault, accessors::Elements};
 use serde_json::{Value, json};
 
 use super::{
-    accessor::Elements,
-    fault::{Checked, Fault},
     json::{Object, extension, item, item_mut, list_mut, place, remove_extension},
     original::Original,
 };
@@ -19,23 +18,23 @@ pub fn expand(root: &mut Object, original: &Original, node: usize) -> Checked<Ve
     let name = place(root, "nodes", node);
     let source = item(&original.root, "nodes", node)?;
     let attributes = extension(source, EXTENSION).and_then(|e| e.get("attributes")).and_then(Value::as_object);
-    let attributes = attributes.ok_or_else(|| Fault::new(&name, "has no instance attributes"))?;
+    let attributes = attributes.ok_or_else(|| Fault::invalid(&name, "it has no instance attributes"))?;
     let mut columns = Vec::new();
     for (semantic, reference) in attributes {
         let index = reference.as_u64().and_then(|n| usize::try_from(n).ok());
-        let index = index.ok_or_else(|| Fault::new(&name, "has an instance attribute that is no accessor"))?;
+        let index = index.ok_or_else(|| Fault::invalid(&name, "it has an instance attribute that is no accessor"))?;
         columns.push(Column::new(original, semantic, index)?);
     }
     let count = columns.iter().map(|c| c.elements.count).min().unwrap_or(0);
     if count > MAX_INSTANCES {
-        return Err(Fault::new(name, format!("has {count} instances, more than {MAX_INSTANCES}")));
+        return Err(Fault::invalid(name, format!("it has {count} instances, more than {MAX_INSTANCES}")));
     }
     let label = source.get("name").and_then(Value::as_str);
     let weights = source.get("weights");
     let mut children = Vec::with_capacity(count);
     for i in 0..count {
         let mut child =
-            instance(&columns, i).ok_or_else(|| Fault::new(&name, format!("instance {i} is not finite")))?;
+            instance(&columns, i).ok_or_else(|| Fault::invalid(&name, format!("instance {i} is not finite")))?;
         label.map(|l| child.insert("name".into(), format!("{l}.{i}").into()));
         weights.map(|w| child.insert("weights".into(), w.clone()));
         let nodes = list_mut(root, "nodes")?;
@@ -55,28 +54,28 @@ pub fn expand(root: &mut Object, original: &Original, node: usize) -> Checked<Ve
 /// One instance attribute.
 struct Column<'a> {
     semantic: &'a str,
-    normalized: bool,
     elements: Elements<'a>,
 }
 
 impl<'a> Column<'a> {
     fn new(original: &'a Original, semantic: &'a str, accessor: usize) -> Checked<Self> {
-        let normalized = item(&original.root, "accessors", accessor)?.get("normalized") == Some(&Value::Bool(true));
-        let elements = Elements::new(original, accessor)?;
+        let elements = original.elements(accessor)?;
         let expected = match semantic {
             "TRANSLATION" | "SCALE" => 3,
             "ROTATION" => 4,
-            _ => elements.components,
+            _ => elements.lanes,
         };
-        if elements.components != expected || elements.components * elements.component.bytes() != elements.size {
-            return Err(Fault::new(place(&original.root, "accessors", accessor), "has the wrong type for an instance"));
+        if elements.lanes != expected || elements.lanes * elements.component.size() != elements.size {
+            return Err(Fault::invalid(
+                original.buffers.accessor_place(accessor),
+                "it has the wrong type for an instance",
+            ));
         }
-        Ok(Self { semantic, normalized, elements })
+        Ok(Self { semantic, elements })
     }
 
     fn values(&self, i: usize) -> Option<Vec<f64>> {
-        let values: Option<Vec<f64>> =
-            (0..self.elements.components).map(|c| self.elements.number(i, c, self.normalized)).collect();
+        let values: Option<Vec<f64>> = (0..self.elements.lanes).map(|c| self.elements.number(i, c)).collect();
         values.filter(|v| v.iter().all(|x| x.is_finite()))
     }
 }

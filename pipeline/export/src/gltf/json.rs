@@ -2,7 +2,7 @@
 
 use serde_json::{Map, Value};
 
-use super::fault::{Checked, Fault};
+use luxel_scene::import::{self, Checked, Fault};
 
 pub type Object = Map<String, Value>;
 
@@ -19,25 +19,26 @@ pub fn objects_mut<'a>(object: &'a mut Object, key: &str) -> impl Iterator<Item 
 /// The list behind `key`, created when missing.
 pub fn list_mut<'a>(object: &'a mut Object, key: &str) -> Checked<&'a mut Vec<Value>> {
     let value = object.entry(key).or_insert_with(|| Value::Array(Vec::new()));
-    value.as_array_mut().ok_or_else(|| Fault::new(key, "is not a list"))
+    value.as_array_mut().ok_or_else(|| Fault::invalid(key, "it is not a list"))
 }
 
 /// The object behind `key`, created when missing.
 pub fn object_mut<'a>(object: &'a mut Object, key: &str) -> Checked<&'a mut Object> {
     let value = object.entry(key).or_insert_with(|| Value::Object(Map::new()));
-    value.as_object_mut().ok_or_else(|| Fault::new(key, "is not an object"))
+    value.as_object_mut().ok_or_else(|| Fault::invalid(key, "it is not an object"))
 }
 
 /// Item `i` of a top-level list, as an object.
 pub fn item<'a>(root: &'a Object, key: &str, i: usize) -> Checked<&'a Object> {
     let value = list(root, key).get(i).and_then(Value::as_object);
-    value.ok_or_else(|| Fault::new(format!("{key}[{i}]"), "is missing or not an object"))
+    value.ok_or_else(|| Fault::invalid(place(root, key, i), "it is missing or not an object"))
 }
 
 /// Item `i` of a top-level list, for changing.
 pub fn item_mut<'a>(root: &'a mut Object, key: &str, i: usize) -> Checked<&'a mut Object> {
+    let name = place(root, key, i);
     let value = root.get_mut(key).and_then(|l| l.get_mut(i)).and_then(Value::as_object_mut);
-    value.ok_or_else(|| Fault::new(format!("{key}[{i}]"), "is missing or not an object"))
+    value.ok_or_else(|| Fault::invalid(name, "it is missing or not an object"))
 }
 
 /// An optional count, index or offset.
@@ -91,10 +92,15 @@ pub fn add_extra(object: &mut Object, key: &str, value: Value) -> bool {
     }
 }
 
-/// What to call an item in messages: `nodes[3] "Lamp"`.
+/// What to call an item of a top-level list in messages: `node 3 "Lamp"`, as the importer does.
 pub fn place(root: &Object, key: &str, i: usize) -> String {
-    match list(root, key).get(i).and_then(|v| v.get("name")).and_then(Value::as_str) {
-        Some(name) => format!("{key}[{i}] {name:?}"),
-        None => format!("{key}[{i}]"),
-    }
+    let kind = match key {
+        "nodes" => "node",
+        "meshes" => "mesh",
+        "materials" => "material",
+        "images" => "image",
+        "bufferViews" => "bufferView",
+        other => other,
+    };
+    import::place(kind, i, list(root, key).get(i).and_then(|v| v.get("name")).and_then(Value::as_str))
 }

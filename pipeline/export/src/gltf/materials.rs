@@ -5,13 +5,14 @@
 
 use std::collections::BTreeMap;
 
+use luxel_scene::import::Checked;
 use serde_json::{Value, json};
 
 use super::{
     bitmap::Bitmap,
     draft::{Draft, Target, settle_copies},
-    fault::{Checked, Fault},
     json::{Object, add_extra, declare_extension, item, list_mut, number, object_mut, remove_extension},
+    mismatch,
     original::Original,
     references,
 };
@@ -116,7 +117,7 @@ impl Materials {
 
     /// The texture of a page, added when first asked for.
     fn texture(&mut self, draft: &mut Draft, page: u32) -> Checked<usize> {
-        let place = || Fault::new("atlas", format!("has no page {page}"));
+        let place = || mismatch("atlas", &format!("it has no page {page}"));
         if let Some(texture) = self.pages.get(page as usize).ok_or_else(place)?.texture {
             return Ok(texture);
         }

@@ -14,15 +14,11 @@
 //! No index of the input changes its meaning: copies take the slot of an original that nothing uses any more, or the
 //! end of the list (`draft`). Of several buffers only the first one's name and extras can survive.
 
-mod accessor;
 mod bitmap;
 mod draft;
-mod fault;
-mod files;
 mod instances;
 mod json;
 mod materials;
-mod meshopt;
 mod nodes;
 mod original;
 mod references;
@@ -31,6 +27,7 @@ mod tests;
 mod vertices;
 
 use luxel_atlas::Atlas;
+use luxel_scene::import::{Checked, Fault, FaultKind};
 use luxel_scene::{Notice, Scene};
 
 pub use original::Original;
@@ -38,7 +35,6 @@ pub use original::Original;
 use self::{
     bitmap::Bitmap,
     draft::Draft,
-    fault::{Checked, Fault},
     materials::{Materials, PageTexture},
     nodes::Nodes,
 };
@@ -80,11 +76,11 @@ impl Original {
         for (map, name) in lightmaps.iter().zip(names) {
             pages.push(PageTexture::new(Bitmap::new(map)?, name.clone()));
         }
-        self.write(scene, atlas, pages).map_err(|fault| fault.of(&self.path))
+        self.check_unchanged(&scene.inputs)?;
+        self.write(scene, atlas, pages).map_err(|fault| fault.in_file(&self.path).into())
     }
 
     fn write(&self, scene: &Scene, atlas: &Atlas, pages: Vec<PageTexture>) -> Checked<Glb> {
-        self.check_unchanged(scene)?;
         let mut draft = Draft::new(self);
         let nodes = Nodes::new(self, Materials::new(self, pages));
         let mut notices = self.notices.clone();
@@ -93,16 +89,11 @@ impl Original {
         let pages = pages.iter().map(stats).collect();
         Ok(Glb { bytes: draft.finish()?, pages, notices })
     }
+}
 
-    /// Files that the importer read too must have had the same bytes then.
-    fn check_unchanged(&self, scene: &Scene) -> Checked<()> {
-        for now in &self.inputs {
-            if scene.inputs.iter().any(|then| then.path == now.path && then.digest != now.digest) {
-                return Err(Fault::new(now.path.display().to_string(), "has changed while it was baked: bake again"));
-            }
-        }
-        Ok(())
-    }
+/// The scene or its atlas is not of this file.
+fn mismatch(place: impl Into<String>, what: &str) -> Fault {
+    Fault::new(FaultKind::Invalid, place, what, "bake the scene again")
 }
 
 /// A binary glTF of a JSON text and its buffer.
@@ -110,7 +101,10 @@ fn glb_bytes(mut json: Vec<u8>, bin: &[u8]) -> Checked<Vec<u8>> {
     json.resize(json.len().next_multiple_of(4), b' ');
     let padded = bin.len().next_multiple_of(4);
     let bin_chunk = if bin.is_empty() { 0 } else { 8 + padded };
-    let too_large = |_| Fault::new("GLB container", "would have more than 4 GiB");
+    let too_large = |_| {
+        let hint = "bake the scene in several parts, or with smaller textures";
+        Fault::new(FaultKind::Limit, "GLB container", "it would have more than the 4 GiB that it can count", hint)
+    };
     let word = |n: usize| u32::try_from(n).map(u32::to_le_bytes).map_err(too_large);
     let total = 12 + 8 + json.len() + bin_chunk;
     let mut bytes = Vec::with_capacity(total);

@@ -3,15 +3,16 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use luxel_atlas::{Atlas, Placed};
+use luxel_scene::import::Checked;
 use luxel_scene::{Notice, Scene};
 use serde_json::Value;
 
 use super::{
     draft::{Draft, settle_copies},
-    fault::{Checked, Fault},
     instances,
     json::{Object, add_extra, forget_extension, item, item_mut, list, number, objects_mut, place},
     materials::{Materials, new_set},
+    mismatch,
     original::Original,
     references,
     vertices::{Vertices, source_primitive},
@@ -84,7 +85,7 @@ impl<'a> Nodes<'a> {
         let mut by_instance = baked.by_instance;
         let object = item(&self.original.root, "nodes", node)?;
         let name = place(&self.original.root, "nodes", node);
-        let stranger = || Fault::new(&name, "does not hold what was baked: the file has changed");
+        let stranger = || mismatch(&name, "it does not hold what was baked");
         let mesh = number(object, "mesh").ok_or_else(stranger)?;
         if baked.meshes.iter().any(|m| *m != mesh) {
             return Err(stranger());
@@ -138,7 +139,7 @@ fn pages(primitives: &Primitives, count: usize) -> Value {
 
 fn plan<'a>(scene: &Scene, atlas: &'a Atlas) -> Checked<BTreeMap<usize, Baked<'a>>> {
     if scene.instances.len() != atlas.placed.len() {
-        return Err(Fault::new("atlas", "does not belong to this scene"));
+        return Err(mismatch("atlas", "it does not belong to this scene"));
     }
     let mut plan: BTreeMap<usize, Baked> = BTreeMap::new();
     for (instance, placed) in scene.instances.iter().zip(&atlas.placed) {
@@ -148,7 +149,7 @@ fn plan<'a>(scene: &Scene, atlas: &'a Atlas) -> Checked<BTreeMap<usize, Baked<'a
         baked.meshes.insert(mesh.gltf_mesh);
         let primitives = baked.by_instance.entry(instance.gpu_instance).or_default();
         if primitives.insert(mesh.gltf_primitive, placed).is_some() {
-            return Err(Fault::new(&instance.name, "is there twice"));
+            return Err(mismatch(&instance.name, "it is there twice"));
         }
     }
     Ok(plan)

@@ -1,157 +1,132 @@
 //! The scene file as it was, with everything that it names read into memory.
 //!
-//! Compressed bufferViews are decoded and images become bufferViews at once, so that the later steps know one kind of
-//! data only. No index changes its meaning here: lists only grow at their ends.
+//! The importer's reader opens it, so that both see the same bytes under the same limits. Compressed bufferViews are
+//! decoded and images become bufferViews at once, so that the later steps know one kind of data only. No index changes
+//! its meaning here: lists only grow at their ends.
 
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 
-use luxel_scene::{InputFile, Notice};
+use luxel_scene::Notice;
+use luxel_scene::import::{
+    Checked, Fault, Limits, Opened,
+    accessors::Elements,
+    buffers::{Buffers, MESHOPT},
+    files::{Files, media_type},
+};
 use serde_json::Value;
 
-use super::{
-    fault::{Checked, Fault},
-    files::{self, Container},
-    json::{self, Object, item, item_mut, list, list_mut, number, place},
-    meshopt,
-};
+use super::json::{self, Object, item, item_mut, list, list_mut, place};
 use crate::ExportError;
 
+/// A .glb counts its bytes in 32 bits, so no larger file can go into one.
+const LARGEST: u64 = u32::MAX as u64;
+
 /// Where the bytes of a bufferView are.
-pub enum Blob {
-    Range { buffer: usize, start: usize, end: usize },
-    Owned(Vec<u8>),
+pub enum Blob<'a> {
+    /// In a buffer of the file.
+    Range { buffer: usize, range: Range<usize> },
+    /// Decoded, or taken in from another file.
+    Bytes(&'a [u8]),
 }
 
 /// A glTF document with its buffers and images.
 pub struct Original {
     pub(super) path: PathBuf,
     pub(super) root: Object,
-    pub(super) buffers: Vec<Vec<u8>>,
-    /// One per bufferView.
-    pub(super) blobs: Vec<Blob>,
+    pub(super) buffers: Buffers,
+    /// The bufferViews behind those of the file.
+    taken_in: Vec<Vec<u8>>,
     pub(super) notices: Vec<Notice>,
-    pub(super) inputs: Vec<InputFile>,
+    files: Files,
 }
 
 impl Original {
     /// Reads a .gltf or .glb with all buffers and images. Errors name the file and the place in it.
     pub fn read(path: &Path) -> Result<Self, ExportError> {
-        Self::load(path).map_err(|fault| fault.of(path))
+        Self::load(path).map_err(|fault| fault.in_file(path).into())
     }
 
     fn load(path: &Path) -> Checked<Self> {
-        let bytes = files::read(path)?;
-        let inputs = vec![InputFile { path: path.to_path_buf(), digest: *blake3::hash(&bytes).as_bytes() }];
-        let Container { json, bin } = Container::parse(&bytes)?;
-        let root: Value = serde_json::from_slice(&json).map_err(|e| Fault::new("JSON", e.to_string()))?;
-        let Value::Object(root) = root else { return Err(Fault::new("JSON", "is not an object")) };
-        let mut original =
-            Self { path: path.into(), root, buffers: Vec::new(), blobs: Vec::new(), notices: Vec::new(), inputs };
-        let folder = path.parent().unwrap_or(Path::new(""));
-        original.load_buffers(folder, bin)?;
-        original.load_views()?;
-        original.load_images(folder)?;
+        let limits = Limits { file_bytes: LARGEST, ..Limits::default() };
+        let Opened { json, buffers, files } = Opened::read(path, &limits)?;
+        let root: Value = serde_json::from_slice(&json).map_err(|e| Fault::invalid("JSON", e.to_string()))?;
+        let Value::Object(root) = root else { return Err(Fault::invalid("JSON", "it is not an object")) };
+        let mut original = Self { path: path.into(), root, buffers, taken_in: Vec::new(), notices: Vec::new(), files };
+        original.check_views()?;
+        original.load_images()?;
         Ok(original)
     }
 
-    /// Every file that went into this, with the BLAKE3 digest of its bytes: more than the importer reads, which leaves
-    /// out the images that light does not need.
-    pub fn inputs(&self) -> &[InputFile] {
-        &self.inputs
-    }
-
-    /// The bytes of a bufferView.
-    pub(super) fn view(&self, i: usize) -> Checked<&[u8]> {
-        match self.blobs.get(i) {
-            Some(Blob::Owned(bytes)) => Ok(bytes),
-            Some(Blob::Range { buffer, start, end }) => Ok(&self.buffers[*buffer][*start..*end]),
-            None => Err(Fault::new(format!("bufferViews[{i}]"), "does not exist")),
+    /// Files that the importer read too must have had the same bytes then.
+    ///
+    /// # Errors
+    /// Names the first file that had others.
+    pub fn check_unchanged(&self, inputs: &[luxel_scene::InputFile]) -> Result<(), ExportError> {
+        let changed =
+            |now: &&luxel_scene::InputFile| inputs.iter().any(|i| i.path == now.path && i.digest != now.digest);
+        match self.files.inputs().iter().find(changed) {
+            Some(file) => Err(ExportError::Changed { path: file.path.clone() }),
+            None => Ok(()),
         }
     }
 
-    fn fetch(&mut self, folder: &Path, uri: &str) -> Checked<files::Fetched> {
-        let fetched = files::fetch(folder, uri)?;
-        if let Some(path) = &fetched.path {
-            let digest = *blake3::hash(&fetched.bytes).as_bytes();
-            self.inputs.push(InputFile { path: path.clone(), digest });
-        }
-        Ok(fetched)
+    /// Number of bufferViews.
+    pub(super) fn views(&self) -> usize {
+        self.buffers.document().root.buffer_views.len() + self.taken_in.len()
     }
 
-    fn load_buffers(&mut self, folder: &Path, mut bin: Option<Vec<u8>>) -> Checked<()> {
-        for i in 0..list(&self.root, "buffers").len() {
-            let buffer = item(&self.root, "buffers", i)?;
-            let uri = buffer.get("uri").and_then(Value::as_str).map(str::to_owned);
-            let bytes = match uri {
-                Some(uri) => self.fetch(folder, &uri).map_err(|f| within(&format!("buffers[{i}]"), f))?.bytes,
-                None if i == 0 => bin.take().unwrap_or_default(),
-                // A buffer without data is the fallback of a compressed one; whoever uses it otherwise finds it short.
-                None => Vec::new(),
-            };
-            self.buffers.push(bytes);
-        }
-        Ok(())
-    }
-
-    fn load_views(&mut self) -> Checked<()> {
-        for i in 0..list(&self.root, "bufferViews").len() {
-            let view = item(&self.root, "bufferViews", i)?;
-            let name = place(&self.root, "bufferViews", i);
-            let compressed = meshopt::NAMES.iter().find_map(|n| json::extension(view, n));
-            let (buffer, start, end) = self.range(&name, compressed.unwrap_or(view))?;
-            let blob = match compressed {
-                None => Blob::Range { buffer, start, end },
-                Some(extension) => {
-                    let bytes = meshopt::decode(&name, extension, &self.buffers[buffer][start..end])?;
-                    if number(view, "byteLength") != Some(bytes.len()) {
-                        return Err(Fault::new(name, "has another length than its compressed data"));
-                    }
-                    Blob::Owned(bytes)
-                }
-            };
-            let view = item_mut(&mut self.root, "bufferViews", i)?;
-            meshopt::NAMES.iter().for_each(|n| json::remove_extension(view, n));
-            self.blobs.push(blob);
-        }
-        meshopt::NAMES.iter().for_each(|n| json::forget_extension(&mut self.root, n));
-        Ok(())
-    }
-
-    /// Buffer and byte range of a bufferView or of its compressed form.
-    fn range(&self, name: &str, view: &Object) -> Checked<(usize, usize, usize)> {
-        let buffer = number(view, "buffer").ok_or_else(|| Fault::new(name, "has no buffer"))?;
-        let start = number(view, "byteOffset").unwrap_or(0);
-        let length = number(view, "byteLength").ok_or_else(|| Fault::new(name, "has no byteLength"))?;
-        let available = self.buffers.get(buffer).map_or(0, Vec::len);
-        match start.checked_add(length) {
-            Some(end) if end <= available => Ok((buffer, start, end)),
-            _ => {
-                let fault = format!("needs bytes {start} + {length} of buffer {buffer}, which has {available}");
-                Err(Fault::new(name, fault))
+    /// Where the bytes of a bufferView are.
+    pub(super) fn blob(&self, i: usize) -> Checked<Blob<'_>> {
+        match i.checked_sub(self.buffers.document().root.buffer_views.len()) {
+            Some(k) => {
+                let bytes = self.taken_in.get(k).map(Vec::as_slice);
+                bytes
+                    .map(Blob::Bytes)
+                    .ok_or_else(|| Fault::invalid(place(&self.root, "bufferViews", i), "it does not exist"))
             }
+            None => Ok(match self.buffers.range(i)? {
+                Some((buffer, range)) => Blob::Range { buffer, range },
+                None => Blob::Bytes(self.buffers.view(i)?),
+            }),
         }
+    }
+
+    /// The elements of an accessor.
+    pub(super) fn elements(&self, accessor: usize) -> Checked<Elements<'_>> {
+        self.buffers.elements(accessor)
+    }
+
+    /// Every bufferView lies within its buffer, and compressed ones decode; they are plain ones from here on.
+    fn check_views(&mut self) -> Checked<()> {
+        for i in 0..self.views() {
+            self.buffers.view(i)?;
+            let view = item_mut(&mut self.root, "bufferViews", i)?;
+            MESHOPT.iter().for_each(|n| json::remove_extension(view, n));
+        }
+        MESHOPT.iter().for_each(|n| json::forget_extension(&mut self.root, n));
+        Ok(())
     }
 
     /// Turns images with URIs into bufferViews. An image that cannot be had keeps its URI, with a notice: nothing of
     /// the lightmap depends on it.
-    fn load_images(&mut self, folder: &Path) -> Checked<()> {
+    fn load_images(&mut self) -> Checked<()> {
         for i in 0..list(&self.root, "images").len() {
             let image = item(&self.root, "images", i)?;
             let Some(uri) = image.get("uri").and_then(Value::as_str).map(str::to_owned) else { continue };
-            let fetched = match self.fetch(folder, &uri) {
-                Ok(fetched) => fetched,
-                Err(f) => {
-                    let name = place(&self.root, "images", i);
-                    let message = format!("{name} is not embedded: {} {}", f.place, f.fault);
+            let bytes = match self.files.fetch(&uri, &place(&self.root, "images", i)) {
+                Ok(bytes) => bytes,
+                Err(fault) => {
+                    let message = format!("{}: it is not embedded: {}", fault.place, fault.what);
                     self.notices.push(Notice { code: "image-left-out", message });
                     continue;
                 }
             };
-            let kind = media_type(&fetched);
+            let kind = image_type(&bytes, &uri).to_owned();
             let views = list_mut(&mut self.root, "bufferViews")?;
-            views.push(serde_json::json!({ "buffer": 0, "byteLength": fetched.bytes.len() }));
+            views.push(serde_json::json!({ "buffer": 0, "byteLength": bytes.len() }));
             let view = views.len() - 1;
-            self.blobs.push(Blob::Owned(fetched.bytes));
+            self.taken_in.push(bytes);
             let image = item_mut(&mut self.root, "images", i)?;
             image.shift_remove("uri");
             image.entry("mimeType").or_insert(kind.into());
@@ -161,12 +136,19 @@ impl Original {
     }
 }
 
-fn within(place: &str, fault: Fault) -> Fault {
-    Fault::new(place, format!("{} {}", fault.place, fault.fault))
+#[cfg(test)]
+impl Original {
+    /// The bytes of a bufferView.
+    pub(super) fn view(&self, i: usize) -> Checked<&[u8]> {
+        Ok(match self.blob(i)? {
+            Blob::Bytes(bytes) => bytes,
+            Blob::Range { buffer, range } => &self.buffers.bytes(buffer)[range],
+        })
+    }
 }
 
-/// The media type of an image: by its first bytes, else as its data URI said.
-fn media_type(image: &files::Fetched) -> String {
+/// The media type of an image: by its first bytes, else as its data URI says.
+fn image_type<'a>(image: &[u8], uri: &'a str) -> &'a str {
     let known: [(&[u8], usize, &str); 6] = [
         (b"\x89PNG", 0, "image/png"),
         (b"\xff\xd8\xff", 0, "image/jpeg"),
@@ -175,9 +157,9 @@ fn media_type(image: &files::Fetched) -> String {
         (b"DDS ", 0, "image/vnd-ms.dds"),
         (b"ftypavif", 4, "image/avif"),
     ];
-    let found = known.iter().find(|(magic, at, _)| image.bytes.get(*at..).is_some_and(|b| b.starts_with(magic)));
+    let found = known.iter().find(|(magic, at, _)| image.get(*at..).is_some_and(|b| b.starts_with(magic)));
     match found {
-        Some((_, _, kind)) => (*kind).into(),
-        None => image.media_type.clone().unwrap_or_else(|| "application/octet-stream".into()),
+        Some((_, _, kind)) => kind,
+        None => media_type(uri).unwrap_or("application/octet-stream"),
     }
 }

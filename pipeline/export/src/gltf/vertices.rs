@@ -4,13 +4,16 @@ use std::collections::BTreeMap;
 
 use glam::Vec2;
 use luxel_atlas::Placed;
+use luxel_scene::import::{
+    Checked, Fault,
+    accessors::{ComponentType, Elements},
+};
 use serde_json::{Value, json};
 
 use super::{
-    accessor::{Component, Elements},
     draft::{Draft, Target},
-    fault::{Checked, Fault},
     json::{Object, item, number},
+    mismatch,
     original::Original,
 };
 
@@ -40,7 +43,7 @@ impl Vertices {
         moved: Option<usize>,
     ) -> Checked<Object> {
         let old = source_primitive(original, mesh, primitive)?;
-        let name = format!("meshes[{mesh}].primitives[{primitive}]");
+        let name = primitive_place(original, mesh, primitive);
         check(&name, placed)?;
         let copies = self.copies.entry((mesh, primitive)).or_default();
         let known = copies.iter().position(|c| c.source == placed.source);
@@ -74,34 +77,39 @@ impl Vertices {
     }
 }
 
+/// `mesh 3 "Wall" primitive 0`.
+fn primitive_place(original: &Original, mesh: usize, primitive: usize) -> String {
+    format!("{} primitive {primitive}", original.buffers.document().mesh_place(mesh))
+}
+
 /// A primitive of the input.
 pub fn source_primitive(original: &Original, mesh: usize, primitive: usize) -> Checked<&Object> {
     let value = item(&original.root, "meshes", mesh)?.get("primitives").and_then(|p| p.get(primitive));
-    let name = || format!("meshes[{mesh}].primitives[{primitive}]");
-    value.and_then(Value::as_object).ok_or_else(|| Fault::new(name(), "does not exist"))
+    let name = || primitive_place(original, mesh, primitive);
+    value.and_then(Value::as_object).ok_or_else(|| Fault::invalid(name(), "it does not exist"))
 }
 
 fn check(name: &str, placed: &Placed) -> Checked<()> {
     let inside = |uv: &Vec2| uv.is_finite() && uv.min_element() >= 0.0 && uv.max_element() <= 1.0;
     if placed.source.len() != placed.uvs.len() || !placed.uvs.iter().all(inside) {
-        return Err(Fault::new(name, "its atlas coordinates are not one per vertex inside [0, 1]²"));
+        return Err(mismatch(name, "its atlas coordinates are not one per vertex inside [0, 1]²"));
     }
     if placed.triangles.iter().flatten().any(|i| *i as usize >= placed.source.len()) {
-        return Err(Fault::new(name, "its unwrapped triangles point outside its vertices"));
+        return Err(mismatch(name, "its unwrapped triangles point outside its vertices"));
     }
     Ok(())
 }
 
 fn copy(draft: &mut Draft, original: &Original, old: &Object, name: &str, source: &[u32]) -> Checked<Copied> {
-    let missing = || Fault::new(name, "has no POSITION");
+    let missing = || Fault::invalid(name, "it has no POSITION");
     let attributes = old.get("attributes").and_then(Value::as_object).ok_or_else(missing)?;
     let position = number(attributes, "POSITION").ok_or_else(missing)?;
     let plain = item(&original.root, "accessors", position)?;
     let without_data = !plain.contains_key("bufferView") && !plain.contains_key("sparse");
     if super::json::extension(old, "KHR_draco_mesh_compression").is_some() && without_data {
-        return Err(Fault::new(name, "is compressed by Draco and has no plain vertices beside it"));
+        return Err(Fault::invalid(name, "it is compressed by Draco and has no plain vertices beside it"));
     }
-    let count = Elements::new(original, position)?.count;
+    let count = original.elements(position)?.count;
     let targets = old.get("targets").cloned();
     let mut copied = Copied { source: source.into(), attributes: attributes.clone(), targets, indices: Vec::new() };
     if source.len() == count && source.iter().enumerate().all(|(i, s)| i == *s as usize) {
@@ -109,7 +117,8 @@ fn copy(draft: &mut Draft, original: &Original, old: &Object, name: &str, source
     }
     copy_all(draft, original, &mut copied.attributes, source)?;
     for target in copied.targets.as_mut().and_then(Value::as_array_mut).into_iter().flatten() {
-        let target = target.as_object_mut().ok_or_else(|| Fault::new(name, "has a morph target that is no object"))?;
+        let target =
+            target.as_object_mut().ok_or_else(|| Fault::invalid(name, "it has a morph target that is no object"))?;
         copy_all(draft, original, target, source)?;
     }
     Ok(copied)
@@ -118,7 +127,7 @@ fn copy(draft: &mut Draft, original: &Original, old: &Object, name: &str, source
 fn copy_all(draft: &mut Draft, original: &Original, attributes: &mut Object, source: &[u32]) -> Checked<()> {
     for (semantic, reference) in attributes.iter_mut() {
         let index = reference.as_u64().and_then(|n| usize::try_from(n).ok());
-        let index = index.ok_or_else(|| Fault::new(semantic.as_str(), "is not the index of an accessor"))?;
+        let index = index.ok_or_else(|| Fault::invalid(semantic.as_str(), "it is not the index of an accessor"))?;
         *reference = copy_accessor(draft, original, index, source, semantic == "POSITION")?.into();
     }
     Ok(())
@@ -132,12 +141,13 @@ fn copy_accessor(
     source: &[u32],
     needs_bounds: bool,
 ) -> Checked<usize> {
-    let elements = Elements::new(original, index)?;
+    let elements = original.elements(index)?;
     let stride = elements.size.next_multiple_of(4);
     let mut bytes = Vec::with_capacity(source.len() * stride);
     for &i in source {
-        let name = || super::json::place(&original.root, "accessors", index);
-        let element = elements.get(i as usize).ok_or_else(|| Fault::new(name(), format!("has no element {i}")))?;
+        let name = || original.buffers.accessor_place(index);
+        let element =
+            elements.get(i as usize).ok_or_else(|| Fault::invalid(name(), format!("it has no element {i}")))?;
         bytes.extend_from_slice(element);
         bytes.resize(bytes.len().next_multiple_of(4), 0);
     }
@@ -146,10 +156,10 @@ fn copy_accessor(
     ["bufferView", "byteOffset", "sparse", "min", "max"].iter().for_each(|k| drop(accessor.shift_remove(*k)));
     accessor.insert("count".into(), source.len().into());
     // Bounds of matrices are never needed, and their padding makes them awkward.
-    let plain = elements.components * elements.component.bytes() == elements.size;
+    let plain = elements.lanes * elements.component.size() == elements.size;
     if (needs_bounds || had_bounds) && plain && !source.is_empty() {
-        let (min, max) = bounds(&elements, &bytes, stride)
-            .ok_or_else(|| Fault::new(super::json::place(&original.root, "accessors", index), "is not finite"))?;
+        let (min, max) = bounds(&elements, source)
+            .ok_or_else(|| Fault::invalid(original.buffers.accessor_place(index), "it is not finite"))?;
         accessor.insert("min".into(), min);
         accessor.insert("max".into(), max);
     }
@@ -162,19 +172,18 @@ fn copy_accessor(
     Ok(draft.add_accessor(Value::Object(accessor)))
 }
 
-/// Smallest and largest value of every component, as the JSON lists of an accessor; None where one is not finite.
-fn bounds(elements: &Elements, bytes: &[u8], stride: usize) -> Option<(Value, Value)> {
-    let mut range = vec![(f64::INFINITY, f64::NEG_INFINITY); elements.components];
-    for element in bytes.chunks_exact(stride) {
+/// Smallest and largest value of every component among the elements that `source` names, as the JSON lists of an
+/// accessor; None where one is not finite.
+fn bounds(elements: &Elements, source: &[u32]) -> Option<(Value, Value)> {
+    let mut range = vec![(f64::INFINITY, f64::NEG_INFINITY); elements.lanes];
+    for &i in source {
         for (c, (lo, hi)) in range.iter_mut().enumerate() {
-            let value = elements.component.value(element.get(c * elements.component.bytes()..)?)?;
-            if !value.is_finite() {
-                return None;
-            }
+            let value = elements.value(i as usize, c).filter(|v| v.is_finite())?;
             (*lo, *hi) = (lo.min(value), hi.max(value));
         }
     }
-    let number = |v: f64| if elements.component == Component::F32 { json!(v) } else { json!(v as i64) };
+    let is_float = elements.component == ComponentType::F32;
+    let number = |v: f64| if is_float { json!(v) } else { json!(v as i64) };
     let (lo, hi): (Vec<Value>, Vec<Value>) = range.into_iter().map(|(lo, hi)| (number(lo), number(hi))).unzip();
     Some((lo.into(), hi.into()))
 }

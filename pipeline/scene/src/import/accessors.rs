@@ -4,22 +4,37 @@
 //! zero-filled, normalised and quantised (KHR_mesh_quantization) elements all come out as plain vectors. `min` and
 //! `max` are ignored: they cannot be relied on.
 
-use gltf_json::accessor::{ComponentType, Type};
+pub use gltf_json::accessor::ComponentType;
+use gltf_json::accessor::Type;
 use gltf_json::validation::Checked as Valid;
 
 use super::buffers::Buffers;
 use super::error::{Checked, Fault, place};
 
-/// An accessor's elements, tightly packed, with sparse substitutions made.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Elements {
-    pub bytes: Vec<u8>,
+/// An accessor's elements where they lie in the file: nothing is copied but the list of sparse indices.
+pub struct Elements<'b> {
     pub component: ComponentType,
-    /// Components per element.
+    /// Components of an element, padding not counted.
     pub lanes: usize,
+    /// Bytes of an element, the padding of matrix columns included.
+    pub size: usize,
     pub normalized: bool,
     pub count: usize,
+    /// From the first element's first byte to the last one's last, and the stride; none: zeros.
+    base: Option<(&'b [u8], usize)>,
+    sparse: Option<Sparse<'b>>,
 }
+
+/// The elements that a sparse accessor replaces.
+struct Sparse<'b> {
+    /// Which element, and the number of its value, in rising order.
+    order: Vec<(u64, usize)>,
+    /// Tightly packed.
+    values: &'b [u8],
+}
+
+/// The largest element is a matrix of 4 × 4 floats.
+static ZEROS: [u8; 64] = [0; 64];
 
 /// Shape and place of an accessor's elements within its view.
 struct Layout {
@@ -32,7 +47,7 @@ struct Layout {
     count: u64,
 }
 
-impl<'a> Buffers<'a> {
+impl Buffers {
     /// `accessor 5 "positions"`, for messages.
     pub fn accessor_place(&self, index: usize) -> String {
         place("accessor", index, self.document().root.accessors.get(index).and_then(|a| a.name.as_deref()))
@@ -43,35 +58,31 @@ impl<'a> Buffers<'a> {
         Ok(self.accessor(index)?.count.0)
     }
 
-    fn accessor(&self, index: usize) -> Checked<&'a gltf_json::Accessor> {
+    fn accessor(&self, index: usize) -> Checked<&gltf_json::Accessor> {
         let accessor = self.document().root.accessors.get(index);
         accessor.ok_or_else(|| Fault::invalid(self.accessor_place(index), "it does not exist"))
     }
 
-    /// Reads the elements as the file stores them.
-    pub fn elements(&self, index: usize) -> Checked<Elements> {
+    /// The elements as the file stores them, every one of them checked to lie within its view. Takes memory for the
+    /// sparse indices only, which are no more than their view has bytes.
+    pub fn elements(&self, index: usize) -> Checked<Elements<'_>> {
         let accessor = self.accessor(index)?;
         let place = self.accessor_place(index);
         let layout = self.layout(accessor, &place)?;
-        let total = layout.count.checked_mul(layout.size as u64);
-        self.spend(total, &place)?;
-        // `spend` has bounded the product.
-        let count = layout.count as usize;
-        let mut bytes = vec![0u8; count * layout.size];
+        let count = usize::try_from(layout.count).map_err(|_| {
+            Fault::invalid(&place, format!("its {} elements are more than any memory holds", layout.count))
+        })?;
+        let mut base = None;
         if let Some(view) = accessor.buffer_view {
-            let source = self.view(view.value())?;
-            let source = strided(source, &layout).ok_or_else(|| {
+            let source = strided(self.view(view.value())?, &layout).ok_or_else(|| {
                 let what = format!("its {count} elements do not fit into bufferView {}", view.value());
                 Fault::invalid(&place, what)
             })?;
-            for (target, element) in bytes.chunks_exact_mut(layout.size).zip(source.chunks(layout.stride)) {
-                target.copy_from_slice(&element[..layout.size]);
-            }
+            base = Some((source, layout.stride));
         }
-        if let Some(sparse) = &accessor.sparse {
-            self.substitute(sparse, &layout, &mut bytes, &place)?;
-        }
-        Ok(Elements { bytes, component: layout.component, lanes: layout.lanes, normalized: accessor.normalized, count })
+        let sparse = accessor.sparse.as_ref().map(|s| self.sparse(s, &layout, &place)).transpose()?;
+        let Layout { component, lanes, size, .. } = layout;
+        Ok(Elements { component, lanes, size, normalized: accessor.normalized, count, base, sparse })
     }
 
     fn layout(&self, accessor: &gltf_json::Accessor, place: &str) -> Checked<Layout> {
@@ -94,14 +105,13 @@ impl<'a> Buffers<'a> {
         Ok(Layout { component: component.0, lanes, size, stride, offset, count: accessor.count.0 })
     }
 
-    /// Overwrites the elements that a sparse accessor lists.
-    fn substitute(
+    /// What a sparse accessor replaces.
+    fn sparse(
         &self,
         sparse: &gltf_json::accessor::sparse::Sparse,
         layout: &Layout,
-        bytes: &mut [u8],
         place: &str,
-    ) -> Checked<()> {
+    ) -> Checked<Sparse<'_>> {
         let Valid::Valid(index_type) = sparse.indices.component_type else {
             return Err(Fault::invalid(place, "its sparse indices have an unknown type"));
         };
@@ -121,16 +131,16 @@ impl<'a> Buffers<'a> {
         let (Some(indices), Some(values)) = (indices, values) else {
             return Err(Fault::invalid(place, "its sparse indices or values do not fit into their bufferViews"));
         };
-        for (index, value) in indices.chunks_exact(index_size).zip(values.chunks_exact(layout.size)) {
-            let index = unsigned(index);
-            let start = (index as usize).checked_mul(layout.size);
-            let target = start.and_then(|start| bytes.get_mut(start..start.checked_add(layout.size)?));
-            let target = target.ok_or_else(|| {
-                Fault::invalid(place, format!("its sparse index {index} is beyond its {} elements", layout.count))
-            })?;
-            target.copy_from_slice(value);
+        let order = indices.chunks_exact(index_size).enumerate().map(|(k, bytes)| (u64::from(unsigned(bytes)), k));
+        // They should come in rising order; where they do not, each still finds its value.
+        let mut order: Vec<(u64, usize)> = order.collect();
+        order.sort_unstable();
+        match order.last() {
+            Some((index, _)) if *index >= layout.count => {
+                Err(Fault::invalid(place, format!("its sparse index {index} is beyond its {} elements", layout.count)))
+            }
+            _ => Ok(Sparse { order, values }),
         }
-        Ok(())
     }
 
     /// Reads vectors of exactly N components as numbers, normalised integers mapped to [0, 1] or [−1, 1].
@@ -158,7 +168,7 @@ impl<'a> Buffers<'a> {
             return Err(Fault::invalid(place, "indices have to be scalars"));
         }
         self.spend((elements.count as u64).checked_mul(4), &place)?;
-        let indices: Vec<u32> = elements.bytes.chunks_exact(elements.component.size()).map(unsigned).collect();
+        let indices: Vec<u32> = elements.iter().map(unsigned).collect();
         if indices.contains(&restart) {
             return Err(Fault::invalid(place, format!("it contains the primitive restart value {restart}")));
         }
@@ -166,11 +176,49 @@ impl<'a> Buffers<'a> {
     }
 }
 
-impl Elements {
+impl<'b> Elements<'b> {
+    /// The bytes of an element; none past the end.
+    pub fn get(&self, i: usize) -> Option<&'b [u8]> {
+        if i >= self.count {
+            return None;
+        }
+        if let Some(sparse) = &self.sparse {
+            // Of several values for one element the last one holds.
+            let end = sparse.order.partition_point(|(element, _)| *element <= i as u64);
+            if let Some((_, k)) = sparse.order[..end].last().filter(|(element, _)| *element == i as u64) {
+                return sparse.values.get(k * self.size..(k + 1) * self.size);
+            }
+        }
+        match self.base {
+            Some((bytes, stride)) => bytes.get(i * stride..i * stride + self.size),
+            None => ZEROS.get(..self.size),
+        }
+    }
+
+    /// All elements in order.
+    pub fn iter(&self) -> impl Iterator<Item = &'b [u8]> + '_ {
+        (0..self.count).map_while(|i| self.get(i))
+    }
+
+    /// A component of an element as the integer or float that is stored. Not for matrices, whose columns are padded.
+    pub fn value(&self, i: usize, lane: usize) -> Option<f64> {
+        Some(decode(self.lane(i, lane)?, self.component, false))
+    }
+
+    /// A component as a number: normalised integers in [0, 1] or [−1, 1]. Not for matrices, whose columns are padded.
+    pub fn number(&self, i: usize, lane: usize) -> Option<f64> {
+        Some(decode(self.lane(i, lane)?, self.component, self.normalized))
+    }
+
+    fn lane(&self, i: usize, lane: usize) -> Option<&'b [u8]> {
+        let size = self.component.size();
+        self.get(i)?.get(lane * size..(lane + 1) * size)
+    }
+
     /// The elements as vectors; N has to be the number of lanes.
     fn vectors<const N: usize>(&self) -> Vec<[f32; N]> {
         let size = self.component.size();
-        let number = |bytes: &[u8]| decode(bytes, self.component, self.normalized);
+        let number = |bytes: &[u8]| decode(bytes, self.component, self.normalized) as f32;
         let element = |bytes: &[u8]| {
             let mut out = [0.0; N];
             for (slot, bytes) in out.iter_mut().zip(bytes.chunks_exact(size)) {
@@ -178,7 +226,7 @@ impl Elements {
             }
             out
         };
-        self.bytes.chunks_exact(size * N).map(element).collect()
+        self.iter().map(element).collect()
     }
 }
 
@@ -206,22 +254,16 @@ fn unsigned(bytes: &[u8]) -> u32 {
 }
 
 /// One component; integers that are not normalised keep their value (§3.11, and KHR_mesh_quantization).
-fn decode(bytes: &[u8], component: ComponentType, normalized: bool) -> f32 {
+fn decode(bytes: &[u8], component: ComponentType, normalized: bool) -> f64 {
     let raw = unsigned(bytes);
-    let scaled = |value: f32, largest: f32| if normalized { (value / largest).max(-1.0) } else { value };
+    let scaled = |value: f64, largest: f64| if normalized { (value / largest).max(-1.0) } else { value };
     match component {
-        ComponentType::I8 => scaled(f32::from(raw as u8 as i8), 127.0),
-        ComponentType::U8 => scaled(raw as f32, 255.0),
-        ComponentType::I16 => scaled(f32::from(raw as u16 as i16), 32767.0),
-        ComponentType::U16 => scaled(raw as f32, 65535.0),
-        ComponentType::U32 => {
-            if normalized {
-                (f64::from(raw) / f64::from(u32::MAX)) as f32
-            } else {
-                raw as f32
-            }
-        }
-        ComponentType::F32 => f32::from_bits(raw),
+        ComponentType::I8 => scaled(f64::from(raw as u8 as i8), 127.0),
+        ComponentType::U8 => scaled(f64::from(raw), 255.0),
+        ComponentType::I16 => scaled(f64::from(raw as u16 as i16), 32767.0),
+        ComponentType::U16 => scaled(f64::from(raw), 65535.0),
+        ComponentType::U32 => scaled(f64::from(raw), f64::from(u32::MAX)),
+        ComponentType::F32 => f64::from(f32::from_bits(raw)),
     }
 }
 
@@ -241,7 +283,7 @@ mod tests {
         let limits = Limits::default();
         let document = Document::parse(json.to_string().as_bytes(), &limits).unwrap();
         let mut files = Files::beside(Path::new("scene.glb"), &limits);
-        test(&Buffers::load(&document, Some(bin.to_vec()), &mut files, &limits).unwrap())
+        test(&Buffers::load(document, Some(bin.to_vec()), &mut files, &limits).unwrap())
     }
 
     fn floats(values: &[f32]) -> Vec<u8> {

@@ -1,6 +1,7 @@
 //! Buffers and buffer views: every byte that geometry and embedded images come from, with checked ranges.
 
 use std::cell::{Cell, OnceCell};
+use std::ops::Range;
 
 use serde_json::Value;
 
@@ -11,11 +12,11 @@ use super::meshopt::Compression;
 use super::options::Limits;
 
 /// The two names of the same compression.
-const MESHOPT: [&str; 2] = ["EXT_meshopt_compression", "KHR_meshopt_compression"];
+pub const MESHOPT: [&str; 2] = ["EXT_meshopt_compression", "KHR_meshopt_compression"];
 
-/// All loaded buffers of a document.
-pub struct Buffers<'a> {
-    document: &'a Document,
+/// A document with all its buffers loaded.
+pub struct Buffers {
+    document: Document,
     buffers: Vec<Option<Vec<u8>>>,
     /// Views decoded so far, by index.
     decoded: Vec<OnceCell<Vec<u32>>>,
@@ -24,9 +25,9 @@ pub struct Buffers<'a> {
     budget_at_start: u64,
 }
 
-impl<'a> Buffers<'a> {
+impl Buffers {
     /// Loads all buffers but those that only hold fallback data for a compression that is decoded anyway.
-    pub fn load(document: &'a Document, bin: Option<Vec<u8>>, files: &mut Files, limits: &Limits) -> Checked<Self> {
+    pub fn load(document: Document, bin: Option<Vec<u8>>, files: &mut Files, limits: &Limits) -> Checked<Self> {
         let mut bin = bin;
         let mut buffers = Vec::with_capacity(document.root.buffers.len());
         for (index, buffer) in document.root.buffers.iter().enumerate() {
@@ -53,8 +54,8 @@ impl<'a> Buffers<'a> {
         Ok(Self { document, buffers, decoded, budget: Cell::new(budget), budget_at_start: budget })
     }
 
-    pub fn document(&self) -> &'a Document {
-        self.document
+    pub fn document(&self) -> &Document {
+        &self.document
     }
 
     /// Takes `bytes` of decoded geometry from the budget, before they are allocated.
@@ -89,6 +90,23 @@ impl<'a> Buffers<'a> {
             }
             None => self.slice(view.buffer.value(), offset, length, &place),
         }
+    }
+
+    /// Buffer and range of a view's bytes where they lie in the file as they are; none for a compressed view. Checked
+    /// to lie within the buffer; a view without bytes lies at its start.
+    pub fn range(&self, index: usize) -> Checked<Option<(usize, Range<usize>)>> {
+        let bytes = self.view(index)?.len();
+        let view = self.document.root.buffer_views.get(index).filter(|v| compression(v).is_none());
+        Ok(view.map(|view| {
+            // `view` has found this many bytes there.
+            let start = if bytes == 0 { 0 } else { view.byte_offset.map_or(0, |o| o.0 as usize) };
+            (view.buffer.value(), start..start + bytes)
+        }))
+    }
+
+    /// All bytes of a buffer; none where it holds nothing.
+    pub fn bytes(&self, buffer: usize) -> &[u8] {
+        self.buffers.get(buffer).and_then(Option::as_deref).unwrap_or_default()
     }
 
     fn decompressed(&self, index: usize, compression: &Compression, place: &str) -> Checked<&[u32]> {

@@ -1,6 +1,10 @@
 //! The two containers of glTF 2.0: a JSON file, or a binary file with a JSON and a BIN chunk (§4, GLB).
 
+use std::path::Path;
+
 use super::error::{Checked, Fault, FaultKind};
+use super::files::Files;
+use super::options::Limits;
 
 const MAGIC: &[u8; 4] = b"glTF";
 const CHUNK_JSON: u32 = u32::from_le_bytes(*b"JSON");
@@ -63,6 +67,26 @@ impl Container {
         let json = json.ok_or_else(|| cut("it has no JSON chunk"))?;
         Ok(Self { json, bin: bin.map(|range| slice_in_place(bytes, range)) })
     }
+}
+
+/// The JSON text of the file at `path`, without byte-order mark and padding; of a .glb nothing behind its JSON chunk is
+/// read.
+pub fn json_of(files: &mut Files, path: &Path, limits: &Limits) -> Checked<Vec<u8>> {
+    const HEAD: u64 = 20;
+    let head = files.read_front(path, "", HEAD)?;
+    let length = word(&head, 12).map(u64::from).filter(|n| *n <= limits.json_bytes);
+    if head.starts_with(MAGIC)
+        && word(&head, 4) == Some(2)
+        && word(&head, 16) == Some(CHUNK_JSON)
+        && let Some(length) = length
+    {
+        let front = files.read_front(path, "", HEAD + length)?;
+        if front.len() as u64 == HEAD + length {
+            return Ok(trimmed(&front[HEAD as usize..]).to_vec());
+        }
+    }
+    // JSON as such, or a file with a fault that has to be told.
+    Ok(Container::parse(files.read(path, "")?)?.json)
 }
 
 /// The part of a vector, without a second allocation: scenes of many gigabytes should not double.

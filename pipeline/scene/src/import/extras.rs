@@ -9,7 +9,8 @@
 //! | `luxel_radius` | number ≥ 0 | radius of a point or spot light, in scene units | do not |
 //! | `luxel_angle` | 0 ≤ number ≤ 180 | angular diameter of a directional light, in degrees | do not |
 //!
-//! `luxel_radius` and `luxel_angle` may stand on the node or on the light; the node wins. Booleans may be written as
+//! `luxel_radius` and `luxel_angle` may stand on the node or on the light; the node wins, and where neither has one the
+//! import options hold. Booleans may be written as
 //! numbers, since some exporters do. What cannot be understood is reported and has no effect.
 
 use gltf_json::extras::Extras;

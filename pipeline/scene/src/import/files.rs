@@ -45,12 +45,32 @@ impl Files {
         self.bytes
     }
 
+    /// Every file that was read, with the digest of its bytes.
+    pub fn inputs(&self) -> &[InputFile] {
+        &self.inputs
+    }
+
     pub fn into_inputs(self) -> Vec<InputFile> {
         self.inputs
     }
 
     /// Reads a whole regular file within the size limit and records its digest. `place` is what asked for it.
     pub fn read(&mut self, path: &Path, place: &str) -> Checked<Vec<u8>> {
+        let limit = self.limits.file_bytes;
+        let bytes = self.read_front(path, place, limit.saturating_add(1))?;
+        // The file may have grown since its size was asked for.
+        if bytes.len() as u64 > limit {
+            return Err(self.too_large(path, place, bytes.len() as u64));
+        }
+        self.bytes = self.bytes.saturating_add(bytes.len() as u64);
+        if self.seen.insert(path.to_path_buf()) {
+            self.inputs.push(InputFile { path: path.to_path_buf(), digest: *blake3::hash(&bytes).as_bytes() });
+        }
+        Ok(bytes)
+    }
+
+    /// The first `most` bytes of a regular file within the size limit, or all of it. Records nothing.
+    pub fn read_front(&self, path: &Path, place: &str, most: u64) -> Checked<Vec<u8>> {
         let unreadable = |what: String| {
             let hint = "check that the file is there and may be read";
             Fault::new(FaultKind::Unreadable, place, what, hint)
@@ -61,24 +81,18 @@ impl Files {
         if !meta.is_file() {
             return Err(unreadable(format!("{name} is not a regular file")));
         }
-        let limit = self.limits.file_bytes;
-        let too_large = |n: u64| Fault::limit(place, format!("{name} has {n} bytes"), "file_bytes", limit);
-        if meta.len() > limit {
-            return Err(too_large(meta.len()));
+        if meta.len() > self.limits.file_bytes {
+            return Err(self.too_large(path, place, meta.len()));
         }
         let mut bytes = Vec::new();
         File::open(path)
-            .and_then(|file| file.take(limit.saturating_add(1)).read_to_end(&mut bytes))
+            .and_then(|file| file.take(most).read_to_end(&mut bytes))
             .map_err(|e| unreadable(format!("cannot read {name} ({e})")))?;
-        // The file may have grown since its size was asked for.
-        if bytes.len() as u64 > limit {
-            return Err(too_large(bytes.len() as u64));
-        }
-        self.bytes = self.bytes.saturating_add(bytes.len() as u64);
-        if self.seen.insert(path.to_path_buf()) {
-            self.inputs.push(InputFile { path: path.to_path_buf(), digest: *blake3::hash(&bytes).as_bytes() });
-        }
         Ok(bytes)
+    }
+
+    fn too_large(&self, path: &Path, place: &str, bytes: u64) -> Fault {
+        Fault::limit(place, format!("{} has {bytes} bytes", path.display()), "file_bytes", self.limits.file_bytes)
     }
 
     /// The bytes behind a URI of the glTF document.
@@ -131,6 +145,12 @@ impl Files {
         }
         Ok(self.folder.join(relative))
     }
+}
+
+/// The media type of a data URI, if it is one and states it.
+pub fn media_type(uri: &str) -> Option<&str> {
+    let (head, _) = strip_scheme(uri, "data")?.split_once(',')?;
+    head.split(';').next().map(str::trim).filter(|m| m.contains('/'))
 }
 
 /// How many folders above its start a relative path climbs at most.

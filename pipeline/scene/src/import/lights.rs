@@ -46,8 +46,8 @@ pub fn read(
     let at = format!("{at} on {}", document.node_place(visit.node));
     let intensity = intensity(light, options, &at, notes)?;
     let own = light.get("extras").map_or(Keys::default(), |extras| Keys::from_value(extras, &at, notes));
-    let radius = visit.keys.radius.or(own.radius).unwrap_or(0.0);
-    let angle = visit.keys.angle.or(own.angle).unwrap_or(0.0).to_radians();
+    let radius = visit.keys.radius.or(own.radius).unwrap_or(options.lamp_radius);
+    let angle = visit.keys.angle.or(own.angle).unwrap_or(options.sun_angle).to_radians();
     let position = visit.world.translation;
     if position.abs().max_element() > MAX_COORDINATE {
         return Err(Fault::invalid(at, "it is too far away to compute with"));
@@ -152,7 +152,7 @@ mod tests {
             r#"{{"asset":{{"version":"2.0"}},"nodes":{nodes},"extensions":{{"{EXTENSION}":{{"lights":{lights}}}}}}}"#
         );
         let document = Document::parse(json.as_bytes(), &Limits::default())?;
-        let options = ImportOptions { light_scale: 2.0, ..ImportOptions::default() };
+        let options = ImportOptions { light_scale: 2.0, lamp_radius: 0.5, sun_angle: 1.0, ..ImportOptions::default() };
         let mut notes = Notes::default();
         let mut out = Vec::new();
         for visit in walk(&document, &mut notes)? {
@@ -192,7 +192,12 @@ mod tests {
         assert_eq!((direction, light.intensity), (DVec3::NEG_Z, Vec3::splat(2.0)));
         assert!((angle - 0.53f64.to_radians()).abs() < 1e-15);
         let spot = &lights(&nodes, r#"[{"type":"spot","spot":{}}]"#).unwrap()[0];
-        let LightKind::Spot { inner, outer, .. } = spot.kind else { panic!() };
+        let LightKind::Spot { inner, outer, radius, .. } = spot.kind else { panic!() };
+        assert_eq!(radius, 0.5, "a lamp without a radius of its own has that of the options");
+        let LightKind::Sun { angle, .. } = lights(&nodes, r#"[{"type":"directional"}]"#).unwrap()[0].kind else {
+            panic!()
+        };
+        assert!((angle - 1f64.to_radians()).abs() < 1e-15);
         assert_eq!((inner, outer), (0.0, std::f64::consts::FRAC_PI_4));
     }
 

@@ -9,6 +9,10 @@ pub struct ImportOptions {
     pub light_scale: f32,
     /// Factor on the radiance of every emissive surface. Default 1.
     pub emissive_scale: f32,
+    /// Radius of point and spot lights without the extra `luxel_radius` [scene units]. Default 0.
+    pub lamp_radius: f64,
+    /// Angular diameter of directional lights without the extra `luxel_angle` [degrees, 0 to 180]. Default 0.
+    pub sun_angle: f64,
     /// Bake skinned, morphed and animated nodes in their rest pose; by default they are left out, with a notice.
     pub bake_animated: bool,
     pub limits: Limits,
@@ -20,6 +24,8 @@ impl Default for ImportOptions {
             metal_diffuse: 0.5,
             light_scale: 1.0,
             emissive_scale: 1.0,
+            lamp_radius: 0.0,
+            sun_angle: 0.0,
             bake_animated: false,
             limits: Limits::default(),
         }

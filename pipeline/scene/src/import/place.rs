@@ -17,7 +17,7 @@ use crate::{Camera, Instance, Mesh, Scene};
 
 /// Fills a scene node by node.
 pub struct Placer<'a> {
-    buffers: &'a Buffers<'a>,
+    buffers: &'a Buffers,
     options: &'a ImportOptions,
     pub materials: Materials,
     pub scene: Scene,
@@ -31,7 +31,7 @@ pub struct Placer<'a> {
 }
 
 impl<'a> Placer<'a> {
-    pub fn new(buffers: &'a Buffers<'a>, options: &'a ImportOptions) -> Self {
+    pub fn new(buffers: &'a Buffers, options: &'a ImportOptions) -> Self {
         Self {
             buffers,
             options,

@@ -9,6 +9,7 @@ use super::kit::{File, import, lightmaps, names, split};
 fn victim() -> Vec<u8> {
     let mut file = File::new();
     let mut quad = file.quad(0.0);
+    file.push("textures", json!({}));
     quad["material"] = file.push("materials", json!({"normalTexture": {"index": 0, "texCoord": 1}})).into();
     let indices = file.view(&[1, 0]);
     let values = file.view(&[0; 12]);
@@ -62,12 +63,19 @@ fn depth_and_sizes_are_bounded() {
     refused(&format!("{}{}", "{\"a\":".repeat(100_000), "}".repeat(100_000)));
     refused("[]");
     refused("");
-    let e = refused(
-        r#"{"buffers":[{"byteLength":9}],"bufferViews":[{"buffer":0,"byteOffset":18446744073709551615,"byteLength":2}]}"#,
+    let with = |buffers: &str| refused(&format!(r#"{{"asset":{{"version":"2.0"}},{buffers}}}"#));
+    let e = with(
+        r#""buffers":[{"byteLength":0}],"bufferViews":[{"buffer":0,"byteOffset":18446744073709551615,"byteLength":2}]"#,
     );
-    assert!(e.contains("bufferViews[0]"), "{e}");
-    let e = refused(r#"{"buffers":[{"uri":"../../../../etc/hosts","byteLength":9}]}"#);
-    assert!(e.contains("buffers[0]") && e.contains("above"), "{e}");
+    assert!(e.contains("bufferView 0"), "{e}");
+    let e = with(r#""buffers":[{"uri":"../../../../etc/hosts","byteLength":9}]"#);
+    assert!(e.contains("buffer 0") && e.contains("above") && e.contains("keep buffers"), "{e}");
+    // 4 GiB from a few bytes are not even allocated.
+    let e = with(
+        r#""buffers":[{"uri":"data:,a","byteLength":1}],"bufferViews":[{"buffer":0,"byteLength":1,"extensions":{
+            "EXT_meshopt_compression":{"buffer":0,"byteLength":1,"byteStride":4,"count":1073741824,"mode":"ATTRIBUTES"}}}]"#,
+    );
+    assert!(e.contains("bufferView 0") && e.contains("geometry_bytes"), "{e}");
     assert!(Original::read(dir.path()).is_err());
 }
 

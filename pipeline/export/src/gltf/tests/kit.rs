@@ -8,7 +8,6 @@ use luxel_scene::{Instance, Mesh, Scene};
 use serde_json::{Value, json};
 
 use super::super::{
-    accessor::Elements,
     instances,
     json::{extension, list, number},
     original::Original,
@@ -116,10 +115,10 @@ pub fn triangles(original: &Original, primitive: &Value) -> Vec<[u32; 3]> {
     };
     let list: Vec<u32> = match number(primitive, "indices") {
         Some(indices) => {
-            let e = Elements::new(original, indices).unwrap();
-            (0..e.count).map(|i| e.number(i, 0, false).unwrap() as u32).collect()
+            let e = original.elements(indices).unwrap();
+            (0..e.count).map(|i| e.number(i, 0).unwrap() as u32).collect()
         }
-        None => (0..Elements::new(original, position).unwrap().count as u32).collect(),
+        None => (0..original.elements(position).unwrap().count as u32).collect(),
     };
     match number(primitive, "mode").unwrap_or(4) {
         4 => list.chunks_exact(3).map(|t| [t[0], t[1], t[2]]).collect(),
@@ -147,7 +146,7 @@ pub fn import(original: &Original) -> Scene {
         let attributes = extension(node.as_object().unwrap(), instances::EXTENSION).map(|e| e["attributes"].clone());
         let copies = attributes.map(|a| {
             let first = a.as_object().unwrap().values().next().unwrap().as_u64().unwrap() as usize;
-            Elements::new(original, first).unwrap().count as u32
+            original.elements(first).unwrap().count as u32
         });
         for k in copies.map_or(vec![None], |n| (0..n).map(Some).collect()) {
             for i in 0..scene.meshes.len() {
@@ -220,6 +219,6 @@ pub fn bake(original: &Original, scene: &Scene, atlas: &Atlas) -> Glb {
 
 /// Raw elements of an accessor.
 pub fn raw(original: &Original, accessor: usize) -> Vec<Vec<u8>> {
-    let e = Elements::new(original, accessor).unwrap();
+    let e = original.elements(accessor).unwrap();
     (0..e.count).map(|i| e.get(i).unwrap().to_vec()).collect()
 }

@@ -175,7 +175,7 @@ fn extras_that_are_no_object_stay_and_are_reported() {
     assert_eq!(root["nodes"][0]["extras"], "a word");
     assert_eq!((&root["materials"][0]["extras"], &root["materials"][1]["extras"]), (&json!(3), &json!(3)));
     assert_eq!(root["textures"][1]["extras"]["luxel"]["lightmap"], "level.lightmap.1.exr");
-    assert!(glb.notices.len() == 1 && glb.notices[0].message.contains("nodes[0] \"a\""), "{:?}", glb.notices);
+    assert!(glb.notices.len() == 1 && glb.notices[0].message.contains("node 0 \"a\""), "{:?}", glb.notices);
 }
 
 #[test]
