@@ -17,9 +17,8 @@ use luxel_scene::{ImportOptions, Progress, Scene};
 
 use crate::{Goal, meter, row, support};
 
-/// Texels per scene and paths per texel of the reference; `tests/accuracy.rs` looks at more.
+/// Texels per scene; `tests/accuracy.rs` looks at more.
 const TEXELS: usize = 100;
-const PATHS: u32 = 4096;
 
 /// What Cycles with its denoiser needed for Cornell at 512²: RMSE over the mean, and processor seconds.
 const CYCLES: [(f64, f64); 3] = [(0.035, 3.2), (0.025, 8.6), (0.017, 35.0)];
@@ -54,16 +53,17 @@ pub fn start_up() {
 /// Errors at the default preset, bytes and processor time per texel, the paper's Sponza.
 pub fn measure() {
     let scenes = [
-        ("Cornell", luxel_assets::cornell()),
-        ("two rooms", luxel_assets::two_rooms()),
-        ("textured room", luxel_assets::textured_room()),
-        ("colonnade", luxel_assets::colonnade()),
+        ("Cornell", luxel_assets::cornell(), 8192),
+        ("two rooms", luxel_assets::two_rooms(), 32_768),
+        ("textured room", luxel_assets::textured_room(), 32_768),
+        ("colonnade", luxel_assets::colonnade(), 4096),
     ];
     let settings = support::medium_512();
-    for (name, scene) in &scenes {
+    // As many paths of the reference as its noise asks for.
+    for (name, scene, paths) in &scenes {
         let (lit, stages) = timed(scene, &settings);
         let texels = support::some_texels(&lit, TEXELS, |_| true);
-        let score = support::score_texels(scene, &lit, &texels, PATHS);
+        let score = support::score_texels(scene, &lit, &texels, *paths);
         row(&format!("RMSE / mean E, {name}, 512²"), 100.0 * score.rmse, "%", most(3.0, 1.5));
         row("  bias", 100.0 * score.bias, "%", Goal::Information);
         row("  noise of the reference", 100.0 * score.noise, "%", Goal::Information);

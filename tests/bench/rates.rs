@@ -23,29 +23,51 @@ const RUNS: usize = 5;
 /// Continuous rays per run.
 const RAYS: u64 = 100_000;
 
+/// Directions of the first bounce, which decides the error; fewer with millions of surfels, to save time.
+const DIRECTIONS: u32 = 512;
+const FEWER: u32 = 256;
+
 pub fn measure() {
     let cornell = luxel_assets::cornell();
     let at_128 = Subject::new(&cornell, Resolution::Side(128));
-    let discrete = at_128.discrete(Rule::Surface, 256, false);
+    let discrete = at_128.discrete(Rule::Surface, DIRECTIONS, false);
     row("discrete rays/s of a core, Cornell n = 128", discrete / 1e6, "M rays/s", least(300.0, 1000.0));
     row("  surfels", at_128.count() as f64 / 1e3, "k", Goal::Information);
-    row("  one band", at_128.discrete(Rule::Surface, 256, true) / 1e6, "M rays/s", Goal::Information);
-    row("  literal rule", at_128.discrete(Rule::Literal, 256, false) / 1e6, "M rays/s", Goal::Information);
+    row("  one band", at_128.discrete(Rule::Surface, DIRECTIONS, true) / 1e6, "M rays/s", Goal::Information);
+    row("  literal rule", at_128.discrete(Rule::Literal, DIRECTIONS, false) / 1e6, "M rays/s", Goal::Information);
     let turned = tilted(cornell.clone());
     let turned_128 = Subject::new(&turned, Resolution::Budget(100_000));
-    row("  tilted", turned_128.discrete(Rule::Surface, 256, false) / 1e6, "M rays/s", Goal::Information);
+    row("  tilted", turned_128.discrete(Rule::Surface, DIRECTIONS, false) / 1e6, "M rays/s", Goal::Information);
     let at_512 = Subject::new(&cornell, Resolution::Budget(1_700_000));
-    let fine = at_512.discrete(Rule::Surface, 24, false);
+    let fine = at_512.discrete(Rule::Surface, FEWER, false);
     row("discrete rays/s of a core, Cornell N = 1.7 M", fine / 1e6, "M rays/s", least(120.0, 400.0));
     drop(at_512);
 
-    row("discrete / continuous rays, Cornell", at_128.against_continuous(256), "", least(60.0, 200.0));
+    row("discrete / continuous rays, Cornell", at_128.against_continuous(DIRECTIONS), "", least(60.0, 200.0));
     let hall = hall_of_balls();
     let dense = Subject::new(&hall, Resolution::Budget(100_000));
     let triangles = dense.geometry.triangles.len() as f64 / 1e3;
-    row("discrete / continuous rays, 60k triangles", dense.against_continuous(256), "", least(100.0, 200.0));
+    row("discrete / continuous rays, 60k triangles", dense.against_continuous(DIRECTIONS), "", least(100.0, 200.0));
     row("  triangles", triangles, "k", Goal::Information);
-    row("  discrete rays/s", dense.discrete(Rule::Surface, 256, false) / 1e6, "M rays/s", Goal::Information);
+    row("  discrete rays/s", dense.discrete(Rule::Surface, DIRECTIONS, false) / 1e6, "M rays/s", Goal::Information);
+
+    drop(dense);
+    if let Some(path) = crate::support::scenes().map(|p| p.join("sponza/sponza_dabrovic_area_light.glb")) {
+        let scene = luxel_scene::import::load(&path, &luxel_scene::ImportOptions::default()).expect("the scene reads");
+        let sponza = Subject::new(&scene, Resolution::Budget(100_000));
+        row(
+            "discrete / continuous rays, Sponza, 66k triangles",
+            sponza.against_continuous(DIRECTIONS),
+            "",
+            least(100.0, 200.0),
+        );
+        row(
+            "  discrete rays/s",
+            sponza.discrete(Rule::Surface, DIRECTIONS, false) / 1e6,
+            "M rays/s",
+            Goal::Information,
+        );
+    }
 
     row("Cornell solve, n = 128, 512 directions halved", at_128.solve_seconds(), "s", most(1.5, 0.2));
     row("two threads against one, wall clock", at_128.two_threads(), "", least(1.7, 1.95));
