@@ -148,7 +148,7 @@ fn assert_no_line_of_light(name: &str, transform: DAffine3, size: u32) {
     let scene = transformed(upright.clone(), transform);
     let lit = bake(&scene, &medium(size));
     let shell = upright.instances.iter().position(|i| i.name == "shell").expect("the rooms have a shell") as u32;
-    let texels: Vec<(usize, DVec3)> = valid_texels(&lit, |i| lit.atlas.texels[i].instance == shell)
+    let texels: Vec<(usize, DVec3)> = valid_texels(&lit, |i| lit.atlas.chart(&lit.atlas.texels[i]).instance == shell)
         .into_iter()
         .map(|i| (i, position(&upright, &lit, i)))
         .collect();
@@ -157,7 +157,7 @@ fn assert_no_line_of_light(name: &str, transform: DAffine3, size: u32) {
     // The door leads to the floor at 0.35 < z < 0.65, and light falls through it.
     let is_door = |p: DVec3| p.y < 1e-3 && p.z > 0.25 && p.z < 0.75;
     for &(i, p) in texels.iter().filter(|(_, p)| !is_door(*p)) {
-        let step = f64::from(lit.atlas.texels[i].footprint);
+        let step = f64::from(lit.atlas.texels[i].footprint());
         // Those that lie under the wall, and the first row of the dark room.
         if p.x <= 0.9999 || p.x >= 1.01 + step {
             continue;

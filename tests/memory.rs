@@ -117,5 +117,6 @@ fn a_texel_of_a_whole_bake() {
     let (small, large) = (bytes(256), bytes(512));
     let each = (large.1 - small.1) / (large.0 - small.0);
     println!("{each:.1} bytes a texel");
-    assert!(each < 85.0, "{each}");
+    // The goal is 64.
+    assert!(each < 64.0, "{each}");
 }

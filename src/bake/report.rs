@@ -68,7 +68,7 @@ pub fn fill(
     ] {
         report.counters.insert(name.into(), count);
     }
-    quality(report, plan, lit, settings, journal);
+    quality(report, lit, settings, journal);
     if settings.bound && !settings.states_bound() {
         let mode = settings.gather_mode().write();
         let message = format!(
@@ -95,18 +95,18 @@ fn warn(report: &mut Report, code: &str, message: impl Into<String>) {
 }
 
 /// Figures by which a result can be judged; sums in f64 in the order of texels.
-fn quality(report: &mut Report, plan: &Plan, lit: &Lit, settings: &Settings, journal: &Journal) {
+fn quality(report: &mut Report, lit: &Lit, settings: &Settings, journal: &Journal) {
     let (mut area, mut direct, mut indirect, mut bound) = (0.0, 0.0, 0.0, 0.0);
     let light = &lit.texels;
     for (i, texel) in lit.atlas.texels.iter().enumerate() {
-        if light.buried[i] || texel.coverage < 0.5 {
+        if light.buried[i] || texel.coverage() < 0.5 {
             continue;
         }
-        let a = f64::from(texel.footprint) * f64::from(texel.footprint);
+        let a = f64::from(texel.footprint()) * f64::from(texel.footprint());
         area += a;
         direct += a * f64::from(light.direct[i].element_sum()) / 3.0;
         indirect += a * f64::from(light.indirect[i].element_sum()) / 3.0;
-        bound += a * f64::from(light.bound[i]);
+        bound += a * f64::from(light.bound.get(i).copied().unwrap_or_default());
     }
     let mut put = |name: &str, value: f64| {
         report.quality.insert(name.into(), value);
@@ -115,7 +115,7 @@ fn quality(report: &mut Report, plan: &Plan, lit: &Lit, settings: &Settings, jou
         put("mean_irradiance_lux", (direct + indirect) / area);
         put("mean_direct_lux", direct / area);
         put("mean_indirect_lux", indirect / area);
-        if settings.states_bound() || !plan.runs(Stage::Gather) {
+        if settings.bound && settings.states_bound() {
             put("mean_bound_lux", bound / area);
         }
     }

@@ -39,18 +39,18 @@ pub struct TexelLight {
     pub direct: Vec<Rgb>,
     /// Reflected at least once, and from the sky [lux].
     pub indirect: Vec<Rgb>,
-    /// Stated bound of the error of the band mean of the indirect light [lux].
+    /// Stated bound of the error of the band mean of the indirect light [lux]; empty where none is asked for.
     pub bound: Vec<f32>,
     /// Inside or under other geometry: its value means nothing.
     pub buried: Vec<bool>,
 }
 
 impl TexelLight {
-    pub fn dark(texels: usize) -> Self {
+    pub fn dark(texels: usize, bound: bool) -> Self {
         Self {
             direct: vec![Rgb::ZERO; texels],
             indirect: vec![Rgb::ZERO; texels],
-            bound: vec![0.0; texels],
+            bound: if bound { vec![0.0; texels] } else { Vec::new() },
             buried: vec![false; texels],
         }
     }
@@ -76,8 +76,8 @@ struct Side<'a> {
 }
 
 impl<'a> Side<'a> {
-    fn front(geometry: &'a Geometry<'a>, atlas: &'a Atlas) -> Self {
-        let light = TexelLight::dark(atlas.texels.len());
+    fn front(geometry: &'a Geometry<'a>, atlas: &'a Atlas, bound: bool) -> Self {
+        let light = TexelLight::dark(atlas.texels.len(), bound);
         Self {
             geometry,
             texels: &atlas.texels,
@@ -91,11 +91,12 @@ impl<'a> Side<'a> {
     }
 
     /// The backs of double-sided surfaces.
-    fn back(geometry: &'a Geometry<'a>, atlas: &'a Atlas) -> Self {
-        let is_double = |t: &Texel| geometry.material(geometry.triangle(t.instance, t.triangle)).double_sided;
+    fn back(geometry: &'a Geometry<'a>, atlas: &'a Atlas, bound: bool) -> Self {
+        let is_double =
+            |t: &Texel| geometry.material(geometry.triangle(atlas.chart(t).instance, t.triangle)).double_sided;
         let numbered = (0u32..).zip(&atlas.texels);
         let some: Vec<u32> = numbered.filter(|(_, t)| is_double(t)).map(|(i, _)| i).collect();
-        let light = TexelLight::dark(some.len());
+        let light = TexelLight::dark(some.len(), bound);
         Self {
             geometry,
             texels: &atlas.texels,
@@ -115,7 +116,7 @@ impl<'a> Side<'a> {
             some: Some(self.beyond.iter().map(|(i, _)| number(*i)).collect()),
             moved: self.beyond.iter().map(|(_, receiver)| *receiver).enumerate().collect(),
             beyond: Vec::new(),
-            light: TexelLight::dark(self.beyond.len()),
+            light: TexelLight::dark(self.beyond.len(), !self.light.bound.is_empty()),
             ..*self
         }
     }
@@ -137,9 +138,10 @@ impl<'a> Side<'a> {
 
     fn original(&self, at: usize) -> Receiver {
         let t = self.texel(at);
-        let triangle = self.geometry.triangle(t.instance, t.triangle);
-        let footprint = self.geometry.frame.length(f64::from(t.footprint));
-        let seed = self.charts[t.chart as usize].texel_seed(t.x, t.y);
+        let chart = &self.charts[t.chart as usize];
+        let triangle = self.geometry.triangle(chart.instance, t.triangle);
+        let footprint = self.geometry.frame.length(f64::from(t.footprint()));
+        let seed = chart.texel_seed(t.x, t.y);
         let front = Receiver::on_triangle(self.geometry, triangle, t.u, t.v, footprint, seed);
         if !self.back {
             return front;
@@ -235,9 +237,9 @@ pub fn run(
     journal: &mut Journal,
 ) -> Result<TexelLight, Error> {
     let geometry = rays.geometry;
-    let mut sides = vec![Side::front(geometry, atlas)];
+    let mut sides = vec![Side::front(geometry, atlas, settings.bound)];
     if settings.double_sided != DoubleSided::Front {
-        sides.push(Side::back(geometry, atlas));
+        sides.push(Side::back(geometry, atlas, settings.bound));
     }
     let work = sides.iter().map(|s| s.len() as u64).sum();
     let stride = settings.node_spacing.0;
@@ -326,8 +328,10 @@ fn gather(
                 Part::Direct => light.direct[i] += g.irradiance,
                 Part::Sky | Part::Bounced => light.indirect[i] += g.irradiance,
             }
-            if part == Part::Bounced {
-                light.bound[i] += g.bound;
+            if part == Part::Bounced
+                && let Some(bound) = light.bound.get_mut(i)
+            {
+                *bound += g.bound;
             }
             rays += u64::from(g.rays);
             cut += u64::from(g.cut);
@@ -364,7 +368,9 @@ fn combine_sides(sides: Vec<Side>, rule: DoubleSided) -> TexelLight {
             };
             out.direct[i] = out.direct[i].lerp(back.direct[k], share);
             out.indirect[i] = out.indirect[i].lerp(back.indirect[k], share);
-            out.bound[i] += (back.bound[k] - out.bound[i]) * share;
+            if let Some(bound) = out.bound.get_mut(i) {
+                *bound += (back.bound[k] - *bound) * share;
+            }
             out.buried[i] &= back.buried[k];
         }
     }

@@ -42,13 +42,13 @@ pub fn scenes() -> Option<PathBuf> {
 
 /// A texel that counts: at least half covered and not inside geometry.
 pub fn is_valid(lit: &Lit, texel: usize) -> bool {
-    lit.atlas.texels[texel].coverage >= 0.5 && !lit.texels.buried[texel]
+    lit.atlas.texels[texel].coverage() >= 0.5 && !lit.texels.buried[texel]
 }
 
 /// What the finished lightmap holds at a texel [lux].
 pub fn value(lit: &Lit, texel: usize) -> Vec3 {
     let t = &lit.atlas.texels[texel];
-    let map = &lit.lightmaps[usize::from(t.page)];
+    let map = &lit.lightmaps[lit.atlas.chart(t).page as usize];
     map.irradiance()[usize::from(t.y) * map.width() as usize + usize::from(t.x)]
 }
 
@@ -71,7 +71,7 @@ pub fn some_texels(lit: &Lit, count: usize, wanted: impl Fn(usize) -> bool) -> V
 /// World position of a texel.
 pub fn position(scene: &Scene, lit: &Lit, texel: usize) -> DVec3 {
     let t = &lit.atlas.texels[texel];
-    let instance = &scene.instances[t.instance as usize];
+    let instance = &scene.instances[lit.atlas.chart(t).instance as usize];
     let [a, b, c] = scene.corners(instance.mesh, t.triangle as usize);
     instance.transform.transform_point3((a + (b - a) * t.u + (c - a) * t.v).as_dvec3())
 }
@@ -79,8 +79,8 @@ pub fn position(scene: &Scene, lit: &Lit, texel: usize) -> DVec3 {
 /// A texel as a receiver, at its own point.
 fn receiver(geometry: &Geometry, lit: &Lit, texel: usize) -> Receiver {
     let t = &lit.atlas.texels[texel];
-    let triangle = geometry.triangle(t.instance, t.triangle);
-    let footprint = geometry.frame.length(f64::from(t.footprint));
+    let triangle = geometry.triangle(lit.atlas.chart(t).instance, t.triangle);
+    let footprint = geometry.frame.length(f64::from(t.footprint()));
     Receiver::on_triangle(
         geometry,
         triangle,
@@ -170,7 +170,7 @@ pub fn areas(lit: &Lit, texels: &[usize]) -> Vec<f64> {
         .iter()
         .map(|&i| {
             let t = &lit.atlas.texels[i];
-            f64::from(t.footprint).powi(2) * f64::from(t.coverage)
+            f64::from(t.footprint()).powi(2) * f64::from(t.coverage())
         })
         .collect()
 }
@@ -179,7 +179,7 @@ pub fn areas(lit: &Lit, texels: &[usize]) -> Vec<f64> {
 pub fn score_copies(a: &Lit, b: &Lit, texels: &[usize]) -> Score {
     let at = |lit: &Lit, i: usize| {
         let t = &a.atlas.texels[i];
-        value_at(lit, t.instance, t.triangle, t.u, t.v)
+        value_at(lit, lit.atlas.chart(t).instance, t.triangle, t.u, t.v)
     };
     let truth: Vec<Vec3> = texels.iter().map(|&i| at(a, i)).collect();
     let values: Vec<Vec3> = texels.iter().map(|&i| at(b, i)).collect();

@@ -81,7 +81,7 @@ fn rasterise(
             wave += cells(&places[end]);
             end += 1;
         }
-        let found: Vec<Vec<Texel>> = blocks[next..end]
+        let found: Vec<Vec<(u32, Texel)>> = blocks[next..end]
             .par_iter()
             .zip(&places[next..end])
             .map(|(block, place)| {
@@ -93,7 +93,7 @@ fn rasterise(
             .collect::<Result<_, AtlasError>>()?;
         for ((block, place), found) in blocks[next..end].iter().zip(&places[next..end]).zip(found) {
             for &instance in &block.instances {
-                let texels = found.iter().filter(|t| t.instance == instance).copied();
+                let texels = found.iter().filter(|(of, _)| *of == instance).map(|(_, texel)| *texel);
                 push_chart(atlas, instance, place, seeds.chart(instance, block.number), texels);
             }
         }
@@ -105,7 +105,10 @@ fn rasterise(
 fn push_chart(atlas: &mut Atlas, instance: u32, place: &Place, seed: u64, texels: impl Iterator<Item = Texel>) {
     let first = atlas.texels.len();
     let chart = atlas.charts.len() as u32;
-    atlas.texels.extend(texels.map(|texel| Texel { chart, ..texel }));
+    atlas.texels.extend(texels.map(|mut texel| {
+        texel.chart = chart;
+        texel
+    }));
     let [w, h] = place.size;
     let (width, height) = if place.turn.is_multiple_of(2) { (w, h) } else { (h, w) };
     atlas.charts.push(Chart {
@@ -248,7 +251,7 @@ fn report(
         density: placement.density,
         charts: atlas.charts.len() as u32,
         texels: atlas.texels.len() as u32,
-        utilisation: atlas.texels.iter().map(|t| f64::from(t.coverage)).sum::<f64>() / page_texels,
+        utilisation: atlas.texels.iter().map(|t| f64::from(t.coverage())).sum::<f64>() / page_texels,
         occupied: placement.occupied as f64 / page_texels,
         kept: layout.kept.clone(),
         unwrapped_anew: layout.refused.clone(),

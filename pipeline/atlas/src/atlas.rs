@@ -14,6 +14,12 @@ pub struct Atlas {
     pub texels: Vec<Texel>,
 }
 
+impl Atlas {
+    pub fn chart(&self, texel: &Texel) -> &Chart {
+        &self.charts[texel.chart as usize]
+    }
+}
+
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Page {
     pub width: u32,
@@ -75,22 +81,42 @@ fn mixed(seed: u64, i: u32, j: u32) -> u64 {
     z ^ (z >> 31)
 }
 
-/// One lightmap texel that lies at least partly on its chart: 36 bytes, because a large atlas has millions of them.
-/// Its identity is [`Chart::texel_seed`].
+/// One lightmap texel that lies at least partly on its chart: 24 bytes, because a large atlas has millions of them.
+/// Page and instance are those of its chart; its identity is [`Chart::texel_seed`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Texel {
     pub x: u16,
     pub y: u16,
-    pub page: u16,
     pub chart: u32,
-    pub instance: u32,
     /// Triangle of the instance's mesh that holds the sample point, and barycentric coordinates of its second and
     /// third corner. The point is the texel's centre, or the nearest point of the chart where the centre lies outside.
     pub triangle: u32,
     pub u: f32,
     pub v: f32,
+    coverage: u16,
+    footprint: u16,
+}
+
+/// Steps of a texel's footprint per factor of two, and the step of a footprint of 1: from 2⁻³² to 2³² scene units, to
+/// 0.034 %.
+const OCTAVE: f32 = 1024.0;
+const UNIT: f32 = 32_768.0;
+
+impl Texel {
+    /// A texel that is still to be given to its chart. `coverage` lies in (0, 1], `footprint` in scene units.
+    pub(crate) fn new([x, y]: [u16; 2], triangle: u32, [u, v]: [f32; 2], coverage: f32, footprint: f32) -> Self {
+        let steps = (libm::log2f(footprint) * OCTAVE + UNIT).round();
+        let coverage = (coverage.clamp(0.0, 1.0) * f32::from(u16::MAX)).round().max(1.0);
+        Self { x, y, chart: 0, triangle, u, v, coverage: coverage as u16, footprint: steps as u16 }
+    }
+
     /// Share of the texel's square that its chart covers, in (0, 1].
-    pub coverage: f32,
+    pub fn coverage(&self) -> f32 {
+        f32::from(self.coverage) / f32::from(u16::MAX)
+    }
+
     /// World length of the texel's side, as the square root of its world area [scene units].
-    pub footprint: f32,
+    pub fn footprint(&self) -> f32 {
+        libm::exp2f((f32::from(self.footprint) - UNIT) / OCTAVE)
+    }
 }

@@ -79,8 +79,8 @@ pub fn finish(
     let images = canvases.into_iter().zip(0..).map(|(canvas, page)| image(canvas, page));
     let mut images: Vec<Image> = images.collect();
     for texel in &atlas.texels {
-        let image = &mut images[usize::from(texel.page)];
-        image.coverage[usize::from(texel.y) * image.width as usize + usize::from(texel.x)] = texel.coverage;
+        let image = &mut images[atlas.chart(texel).page as usize];
+        image.coverage[usize::from(texel.y) * image.width as usize + usize::from(texel.x)] = texel.coverage();
     }
     Ok((images, report))
 }
@@ -93,7 +93,9 @@ fn scattered(
     let mut canvases: Vec<Canvas> = atlas.pages.iter().map(|p| Canvas::new(p.width, p.height)).collect();
     let mut buried = vec![Vec::new(); canvases.len()];
     for (number, texel) in atlas.texels.iter().enumerate() {
-        let canvas = canvases.get_mut(usize::from(texel.page)).ok_or(FinishError::Atlas { texel: number })?;
+        let page = atlas.charts.get(texel.chart as usize).map(|chart| chart.page as usize);
+        let page = page.filter(|page| *page < canvases.len()).ok_or(FinishError::Atlas { texel: number })?;
+        let canvas = &mut canvases[page];
         if u32::from(texel.x) >= canvas.width || u32::from(texel.y) >= canvas.height {
             return Err(FinishError::Atlas { texel: number });
         }
@@ -102,10 +104,10 @@ fn scattered(
         match value(number) {
             Some(value) if value.is_finite() && value.min_element() >= 0.0 => {
                 canvas.value[at] = value;
-                canvas.trust[at] = texel.coverage.max(0.01);
+                canvas.trust[at] = texel.coverage().max(0.01);
             }
             Some(_) => return Err(FinishError::Value { texel: number }),
-            None => buried[usize::from(texel.page)].push(at),
+            None => buried[page].push(at),
         }
     }
     Ok((canvases, buried))

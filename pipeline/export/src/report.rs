@@ -39,7 +39,8 @@ pub struct Report {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub energy: Option<EnergyLedger>,
     /// Figures by which the result's quality can be judged: `mean_irradiance_lux` and its parts `mean_direct_lux` and
-    /// `mean_indirect_lux`; `mean_bound_lux`, `mean_cut` and `longest_cut` (clusters) of lightcuts; `mean_row_sum`,
+    /// `mean_indirect_lux`; `mean_bound_lux` where a bound is asked for and stated;
+    /// `mean_cut` and `longest_cut` (clusters) of lightcuts; `mean_row_sum`,
     /// `row_sum_defect` and `tail` of the propagation; `atlas_utilisation`, `texels_per_unit`.
     pub quality: BTreeMap<String, f64>,
     /// What a person should know, each once.
