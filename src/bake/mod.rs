@@ -151,7 +151,7 @@ fn light<'g>(
         Ok((atlas, report))
     })?;
     if let Some((_, report)) = &unwrapped {
-        journal.explain(Stage::Unwrap, &format!("{}: {}", plan.reason(Stage::Unwrap), report::layouts(report)));
+        journal.explain(Stage::Unwrap, &format!("{}; {}", plan.reason(Stage::Unwrap), report::layouts(report)));
     }
     let (atlas, atlas_report) = unwrapped.unwrap_or_default();
     let rays = journal.run(plan, Stage::Rays, Some(0), |_, _| Ok(Rays::new(geometry)))?;
