@@ -28,7 +28,9 @@ pub enum Error {
     Field(#[from] FieldError),
     #[error("the light at surfels cannot be stored; fewer --voxels may help")]
     Octree(#[from] OctreeError),
-    #[error("cannot store the light at surfels in {path}")]
+    #[error("cannot write to the folder {path}; choose another one with --out")]
+    Folder { path: PathBuf, source: std::io::Error },
+    #[error("cannot store the light at surfels in {path}; choose another folder with --out")]
     Store { path: PathBuf, source: std::io::Error },
     #[error(transparent)]
     Export(#[from] ExportError),

@@ -11,7 +11,9 @@
 //! | surfels | geometry, materials → `Surfels` | geometry, materials, voxels | light does not bounce, or is not wanted |
 //! | shoot | lights, `Surfels` → direct irradiance at surfels | lights, surfels, shadow samples, photons | the sky is the only light |
 //! | propagate | direct irradiance → `Solution` | the above, sky, directions, bounces, tolerance | as surfels |
+//! | refresh | rays, `Solution` → `Solution` gathered anew | the above, refresh rays | switched off, and as surfels |
 //! | cache | `Solution` → octree file | the above | as surfels |
+//! | clear | rays, `Atlas` → buried texels moved or marked | geometry, atlas | there is no light |
 //! | direct | `Atlas`, lights → E at texels | geometry, lights, atlas, shadow samples | no lamp, sun or emissive surface |
 //! | sky | `Atlas`, sky → E at texels | geometry, sky, atlas, sky rays | there is no sky |
 //! | gather | `Atlas`, `Solution` → E at texels | solution, atlas, gather settings | as surfels |

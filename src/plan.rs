@@ -70,9 +70,23 @@ impl Stage {
 }
 
 impl Stage {
-    /// Raised whenever the stage makes something else of the same input.
+    /// Version of what the stage makes. Raise it here whenever the stage makes something else of the same input:
+    /// stored light of an older version is then made anew instead of being taken for this one's.
     pub fn version(self) -> u32 {
-        1
+        match self {
+            Self::Surfels | Self::Propagate | Self::Gather | Self::Finish => 2,
+            Self::Import
+            | Self::Unwrap
+            | Self::Rays
+            | Self::Shoot
+            | Self::Refresh
+            | Self::Cache
+            | Self::Clear
+            | Self::Direct
+            | Self::Sky
+            | Self::Preview
+            | Self::Export => 1,
+        }
     }
 }
 
@@ -80,8 +94,11 @@ impl Stage {
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Step {
     pub stage: Stage,
+    /// It is needed: the bake runs it, or reuses what it made before.
     pub runs: bool,
-    /// What it will do, or why it is left out.
+    /// What it made before is stored and will serve.
+    pub reused: bool,
+    /// What it will do, or why it is reused or left out.
     pub reason: String,
 }
 
@@ -121,7 +138,7 @@ pub struct Memory {
 
 impl Memory {
     pub fn total(&self) -> u64 {
-        self.rays + self.surfels + self.texels + self.images
+        [self.rays, self.surfels, self.texels, self.images].into_iter().fold(0, u64::saturating_add)
     }
 }
 
@@ -139,8 +156,8 @@ impl Plan {
         let steps: Vec<Step> = Stage::ALL
             .into_iter()
             .map(|stage| match decide(stage, &facts, settings) {
-                Ok(reason) => Step { stage, runs: true, reason },
-                Err(reason) => Step { stage, runs: false, reason },
+                Ok(reason) => Step { stage, runs: true, reused: false, reason },
+                Err(reason) => Step { stage, runs: false, reused: false, reason },
             })
             .collect();
         let runs = |stage| steps.iter().any(|s| s.stage == stage && s.runs);
@@ -150,6 +167,14 @@ impl Plan {
 
     pub fn runs(&self, stage: Stage) -> bool {
         self.steps.iter().any(|s| s.stage == stage && s.runs)
+    }
+
+    /// Marks a stage that the bake needs as one that it will not run anew.
+    pub fn reuse(&mut self, stage: Stage, reason: &str) {
+        for step in self.steps.iter_mut().filter(|s| s.stage == stage && s.runs) {
+            step.reused = true;
+            step.reason = reason.into();
+        }
     }
 
     pub fn reason(&self, stage: Stage) -> &str {
@@ -225,9 +250,10 @@ impl Facts {
 /// No texel of the material can reflect anything.
 fn is_black(m: &Material) -> bool {
     let diffuse = (1.0 - m.metallic + m.metallic * m.roughness * m.metal_diffuse).max(0.0);
-    // A texture can only take the metal away again, so it leaves the question open.
+    // A texture can only take the metal or the transmission away again, so it leaves the question open.
     let may_vary = m.metallic_roughness_texture.is_some();
-    m.base_color.truncate().max_element() <= 0.0 || m.transmission >= 1.0 || (diffuse <= 0.0 && !may_vary)
+    let passes_all = m.transmission >= 1.0 && m.transmission_texture.is_none();
+    m.base_color.truncate().max_element() <= 0.0 || passes_all || (diffuse <= 0.0 && !may_vary)
 }
 
 fn is_grey(scene: &Scene, used: &[bool]) -> bool {
@@ -310,19 +336,27 @@ fn decide(stage: Stage, facts: &Facts, settings: &Settings) -> Result<String, St
     }
 }
 
-/// Bytes per unit: measured sizes of the structures, rounded up.
-const RAY_TRIANGLE: u64 = 160;
-const SURFEL: u64 = 150;
-const TEXEL: u64 = 64;
-const PIXEL: u64 = 32;
+// Bytes of the heap at the peak, as `cargo test --test memory -- --nocapture` measures them on two threads.
+/// Per triangle: its geometry and the trees of rays, at the peak of their making.
+const RAY_TRIANGLE: u64 = 410;
+/// Per surfel: the surfel and its light while it is propagated.
+const SURFEL: u64 = 235;
+/// Per texel: where it is, and its light.
+const TEXEL: u64 = 78;
+/// Per pixel of a page: the finished images and what the encoders hold.
+const PIXEL: u64 = 42;
+/// The picture and what else does not grow with the scene.
+const FIXED: u64 = 12 << 20;
 
+/// Figures beyond all measure saturate: what asks for that much is refused by its stage, not by the estimate.
 fn memory(facts: &Facts, scene: &Scene, settings: &Settings, runs: &dyn Fn(Stage) -> bool) -> Memory {
     let side = u64::from(settings.size.0);
-    // Whole atlases; charts fill about three quarters of one.
+    // Whole atlases; charts cover about three quarters of one, and nine tenths of its
+    // pixels are texels, partly covered ones included.
     let pixels = match settings.texel_density.0 {
         Some(density) => {
             let texels = facts.area * f64::from(density) * f64::from(density) / 0.75;
-            (texels as u64).div_ceil(side * side).max(1) * side * side
+            (texels as u64).div_ceil(side * side).max(1).saturating_mul(side * side)
         }
         None => side * side,
     };
@@ -333,10 +367,10 @@ fn memory(facts: &Facts, scene: &Scene, settings: &Settings, runs: &dyn Fn(Stage
     };
     let when = |stage, bytes| if runs(stage) { bytes } else { 0 };
     Memory {
-        rays: when(Stage::Rays, facts.triangles as u64 * RAY_TRIANGLE),
-        surfels: when(Stage::Surfels, surfels * SURFEL),
-        texels: when(Stage::Unwrap, pixels * 3 / 4 * TEXEL),
-        images: when(Stage::Finish, pixels * PIXEL),
+        rays: when(Stage::Rays, (facts.triangles as u64).saturating_mul(RAY_TRIANGLE)),
+        surfels: when(Stage::Surfels, surfels.saturating_mul(SURFEL)),
+        texels: when(Stage::Unwrap, (pixels / 10 * 9).saturating_mul(TEXEL)),
+        images: when(Stage::Finish, pixels.saturating_mul(PIXEL).saturating_add(FIXED)),
     }
 }
 
@@ -352,8 +386,9 @@ fn longest_side(scene: &Scene) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::settings::value::OrAuto;
     use glam::Vec3;
-    use luxel_scene::{Sky, build::Builder};
+    use luxel_scene::{Sky, TextureRef, build::Builder};
 
     fn room(albedo: Vec3, radiance: Vec3) -> Scene {
         let mut b = Builder::new("room");
@@ -404,6 +439,33 @@ mod tests {
         use Stage::*;
         assert_eq!(left_out(&plan), [Surfels, Shoot, Propagate, Refresh, Cache, Sky, Gather]);
         assert!(plan.reason(Propagate).contains("reflects"));
+    }
+
+    #[test]
+    fn a_texture_may_take_the_transmission_away() {
+        let mut scene = room(Vec3::splat(0.5), Vec3::ONE);
+        for material in &mut scene.materials {
+            material.transmission = 1.0;
+        }
+        assert!(Plan::new(&scene, &Settings::default()).facts.black, "clear glass alone reflects nothing");
+        scene.materials[1].transmission_texture = Some(TextureRef::new(0));
+        let plan = Plan::new(&scene, &Settings::default());
+        assert!(!plan.facts.black && plan.runs(Stage::Gather));
+    }
+
+    #[test]
+    fn an_estimate_beyond_all_measure_is_still_a_number() {
+        let scene = room(Vec3::splat(0.5), Vec3::ONE);
+        let total = |settings| Plan::new(&scene, &settings).memory.total();
+        let texel_density = OrAuto(Some(1e30));
+        assert_eq!(total(Settings { texel_density, ..Settings::default() }), u64::MAX);
+        assert_eq!(total(Settings { voxels: Voxels::Edge(1e-30), ..Settings::default() }), u64::MAX);
+        assert!(total(Settings { voxels: Voxels::Edge(1e30), ..Settings::default() }) < u64::MAX);
+        let texel_density = OrAuto(Some(f32::MAX));
+        assert_eq!(
+            total(Settings { texel_density, voxels: Voxels::Edge(f32::MIN_POSITIVE), ..Settings::default() }),
+            u64::MAX
+        );
     }
 
     #[test]

@@ -207,6 +207,85 @@ fn the_plan_tells_every_stage_and_writes_nothing() {
 }
 
 #[test]
+fn the_plan_knows_what_is_stored() {
+    let folder = folder(&["cornell.glb"]);
+    let states = |flags: &[&str]| {
+        let output = quick(&[&["plan", "cornell.glb", "--json"], flags].concat(), folder.path());
+        succeeded(&output);
+        let said = text(&output.stdout);
+        let event: Value = serde_json::from_str(said.lines().find(|l| l.contains("\"plan\"")).unwrap()).unwrap();
+        let steps = event["plan"]["steps"].as_array().unwrap().clone();
+        let reused = steps.iter().filter(|s| s["reused"] == true).map(|s| s["stage"].as_str().unwrap().to_owned());
+        reused.collect::<Vec<_>>()
+    };
+    assert!(states(&[]).is_empty());
+    succeeded(&quick(&["bake", "cornell.glb"], folder.path()));
+    assert_eq!(states(&[]), ["surfels", "shoot", "propagate", "cache"]);
+    assert!(states(&["--light-scale", "2"]).is_empty(), "other light is another solution");
+    assert!(states(&["--out", "elsewhere"]).is_empty());
+    let said = text(&quick(&["plan", "cornell.glb"], folder.path()).stdout);
+    assert!(said.lines().any(|l| l.contains("propagate") && l.contains("reused")), "{said}");
+    assert!(!folder.path().join("elsewhere").exists());
+}
+
+#[test]
+fn outputs_that_cannot_be_written_are_told_before_any_work() {
+    let folder = folder(&["cornell.glb"]);
+    // A folder within a file cannot be made, whoever runs this.
+    let output = quick(&["bake", "cornell.glb", "--json", "--out", "cornell.glb/x"], folder.path());
+    assert_eq!(output.status.code(), Some(1));
+    let events: Vec<Value> = text(&output.stdout).lines().map(|l| serde_json::from_str(l).unwrap()).collect();
+    let started: Vec<_> = events.iter().filter(|e| e["event"] == "started").map(|e| e["stage"].clone()).collect();
+    assert_eq!(started, ["import"]);
+    let failed = events.iter().find(|e| e["event"] == "failed").unwrap();
+    assert!(failed["error"].as_str().unwrap().contains("another one with --out"), "{failed}");
+}
+
+/// Names that are no Unicode: below a folder everything works, as a scene's own name it costs that scene.
+#[cfg(unix)]
+#[test]
+fn names_that_are_not_unicode_stop_nothing_else() {
+    use std::os::unix::ffi::OsStrExt;
+    let folder = folder(&[]);
+    let odd = folder.path().join(std::ffi::OsStr::from_bytes(b"l\xff"));
+    std::fs::create_dir(&odd).unwrap();
+    std::fs::copy(asset("cornell.glb"), odd.join("a.glb")).unwrap();
+    let bad = std::ffi::OsStr::from_bytes(b"b\xff.glb");
+    let output = quick(&["bake", ".", "--json"], folder.path());
+    succeeded(&output);
+    let plan = quick(&["plan", ".", "--json"], folder.path());
+    succeeded(&plan);
+    for line in text(&[output.stdout, plan.stdout].concat()).lines() {
+        let event: Value = serde_json::from_str(line).unwrap();
+        assert!(event["event"].is_string(), "{line}");
+    }
+    assert!(odd.join("baked/a.lightmap.exr").exists());
+
+    std::fs::copy(asset("cornell.glb"), odd.join(bad)).unwrap();
+    std::fs::remove_dir_all(odd.join("baked")).unwrap();
+    let output = quick(&["bake", ".", "--json"], folder.path());
+    assert_eq!(output.status.code(), Some(1), "{}", text(&output.stderr));
+    let done: Value = serde_json::from_str(text(&output.stdout).lines().last().unwrap()).unwrap();
+    assert_eq!((&done["event"], &done["scenes"]), (&"done".into(), &2.into()));
+    assert_eq!(done["failed"].as_array().unwrap().len(), 1);
+    assert!(odd.join("baked/a.lightmap.exr").exists(), "the other scene is baked");
+
+    let named = Command::new(env!("CARGO_BIN_EXE_luxel")).arg("bake").arg(odd.join(bad)).output().unwrap();
+    assert_eq!(named.status.code(), Some(2), "{}", text(&named.stderr));
+}
+
+#[test]
+fn a_scene_without_geometry_is_told_so_and_not_about_light() {
+    let folder = folder(&[]);
+    std::fs::write(folder.path().join("e.gltf"), r#"{"asset":{"version":"2.0"},"scenes":[{}]}"#).unwrap();
+    succeeded(&quick(&["bake", "e.gltf"], folder.path()));
+    let report: Value =
+        serde_json::from_slice(&std::fs::read(folder.path().join("baked/e.bake.json")).unwrap()).unwrap();
+    let codes: Vec<_> = report["warnings"].as_array().unwrap().iter().map(|w| w["code"].as_str().unwrap()).collect();
+    assert_eq!(codes, ["no-geometry"]);
+}
+
+#[test]
 fn the_defaults_can_be_had_as_a_file() {
     let folder = folder(&[]);
     let output = luxel(&["defaults"], folder.path());

@@ -417,9 +417,9 @@ fn every_cut_of_a_file_is_refused_by_name() {
     let path = folder.path().join("cut.glb");
     for length in (0..bytes.len()).step_by(37).chain([bytes.len() - 1]) {
         std::fs::write(&path, &bytes[..length]).unwrap();
-        let error = plan_file(&path, &tiny(), &Silent).expect_err("a cut file is no scene").to_string();
+        let error = plan_file(&path, None, &tiny(), &Silent).expect_err("a cut file is no scene").to_string();
         assert!(error.contains("cut.glb"), "{error}");
     }
     std::fs::write(&path, &bytes).unwrap();
-    plan_file(&path, &tiny(), &Silent).unwrap();
+    plan_file(&path, None, &tiny(), &Silent).unwrap();
 }

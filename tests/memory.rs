@@ -8,15 +8,19 @@ use std::sync::{Mutex, MutexGuard};
 
 use glam::Vec3;
 use heap::peak_bytes;
+use luxel::Request;
+use luxel::plan::Plan;
 use luxel::settings::{
-    Preset, Settings,
+    Preset, Resolved, Settings,
     value::{Texels, Threads, Voxels},
 };
+use luxel_export::OutputSet;
 use luxel_scene::{Scene, Silent, build::Builder};
 use luxel_transport::{
     Rgb,
     geometry::Geometry,
     octree::Octree,
+    rays::Rays,
     solve::{SolveReport, SolveSettings, solve},
     surfel::{AreaRule, Resolution, Solution, Surfels, VoxelSettings},
 };
@@ -119,4 +123,61 @@ fn a_texel_of_a_whole_bake() {
     println!("{each:.1} bytes a texel");
     // The goal is 64.
     assert!(each < 64.0, "{each}");
+}
+
+/// What rays need beside the scene, the making of their trees included.
+#[test]
+fn a_triangle_and_its_rays() {
+    let _alone = alone();
+    let mut b = Builder::new("blocks");
+    let grey = b.matte(Vec3::splat(0.5));
+    for i in 0..4000u16 {
+        let at = Vec3::new(f32::from(i % 20), f32::from(i / 20 % 20), f32::from(i / 400)) * 2.0;
+        b.cuboid("block", at, at + Vec3::ONE, grey, false);
+    }
+    let scene = b.build();
+    let (triangles, bytes) = on_two_threads(|| {
+        peak_bytes(|| {
+            let geometry = Geometry::new(&scene);
+            let rays = Rays::new(&geometry);
+            rays.geometry.triangles.len()
+        })
+    });
+    let each = bytes as f64 / triangles as f64;
+    println!("{triangles} triangles: {each:.1} bytes each with their rays");
+    assert!(each < 420.0, "{each}");
+}
+
+/// A bake from file to files, encoders included, stays within what the plan estimates, and not far below.
+#[test]
+fn a_whole_bake_and_its_plan() {
+    let _alone = alone();
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("s.glb");
+    let scene = luxel_assets::cornell();
+    std::fs::write(&path, luxel_assets::glb::write(&scene).expect("a scene")).expect("a file");
+    let bake = |size: u32| {
+        let settings = Settings {
+            size: Texels(size),
+            voxels: Voxels::Side(32),
+            threads: Threads(2),
+            ..Settings::preset(Preset::Draft)
+        };
+        let plan = Plan::new(&scene, &settings);
+        let request = Request {
+            scene: path.clone(),
+            outputs: OutputSet::new(&path, Some(&folder.path().join(size.to_string())), None).expect("a place"),
+            settings: Resolved { settings, ..Resolved::default() },
+            worker: None,
+        };
+        let (baked, bytes) = peak_bytes(|| luxel::bake(&request, &Silent).expect("a bake"));
+        let pixels = f64::from(size * size);
+        (pixels, baked.lit.atlas.texels.len() as f64 / pixels, bytes as f64, plan.memory)
+    };
+    let (small, large) = (bake(512), bake(1024));
+    let each = (large.2 - small.2) / (large.0 - small.0);
+    println!("{each:.1} bytes a pixel of a page, of which {:.3} are texels", large.1);
+    let (found, stated) = (large.2, large.3.total() as f64);
+    println!("{:.1} MiB where the plan estimates {:.1}", found / 1048576.0, stated / 1048576.0);
+    assert!(found < stated && stated < 1.25 * found, "{found} and {stated}");
 }

@@ -75,6 +75,14 @@ pub fn glb(
     })
 }
 
+/// Makes the folder of the outputs and sees that a file can be written there, before hours are spent on what goes in.
+pub fn probe(outputs: &OutputSet) -> Result<(), Error> {
+    let folder = outputs.folder();
+    let failed = |source| Error::Folder { path: folder.into(), source };
+    std::fs::create_dir_all(folder).map_err(failed)?;
+    tempfile::NamedTempFile::new_in(folder).and_then(|file| file.close()).map_err(failed)
+}
+
 /// Writes all files; returns them in the order of writing.
 pub fn write(
     outputs: &OutputSet,

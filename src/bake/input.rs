@@ -23,8 +23,8 @@ pub fn load(path: &Path, settings: &Settings) -> Result<Scene, Error> {
     };
     let mut scene = import::load(path, &options)?;
     scene.sky = sky(&mut scene, settings)?;
-    if !scene.sky.is_dark() {
-        // The importer does not know of the sky.
+    if !scene.sky.is_dark() || scene.triangle_count() == 0 {
+        // The importer does not know of the sky; and light is not what a scene without geometry lacks.
         scene.notices.retain(|n| n.code != "no-light");
     }
     Ok(scene)
@@ -72,10 +72,38 @@ pub fn key(scene: &Scene, settings: &Settings, matters: impl Fn(&str) -> bool) -
         hasher.update(&input.digest);
     }
     for field in FIELDS.iter().filter(|f| matters(f.name)) {
-        for text in [field.name, &(field.get)(settings)] {
+        let value = match &settings.sky {
+            // Its bytes are among the inputs; by which path they were found makes no difference.
+            SkySetting::Image(_) if field.name == "sky" => "image".into(),
+            _ => (field.get)(settings),
+        };
+        for text in [field.name, &value] {
             hasher.update(&(text.len() as u64).to_le_bytes());
             hasher.update(text.as_bytes());
         }
     }
     *hasher.finalize().as_bytes()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_same_sky_image_by_another_path_is_the_same_input() {
+        let folder = tempfile::tempdir().unwrap();
+        let scene = folder.path().join("s.glb");
+        std::fs::write(&scene, luxel_assets::glb::write(&luxel_assets::cornell()).unwrap()).unwrap();
+        let key_of = |name: &str, radiance: f32| {
+            let path = folder.path().join(name);
+            exr::prelude::write_rgb_file(&path, 8, 4, |_, _| (radiance, 1.0, 1.0)).unwrap();
+            let settings = Settings { sky: SkySetting::Image(path), ..Settings::default() };
+            key(&load(&scene, &settings).unwrap(), &settings, |_| true)
+        };
+        let noon = key_of("noon.exr", 1.0);
+        assert_eq!(key_of("twelve.exr", 1.0), noon);
+        assert_ne!(key_of("noon.exr", 2.0), noon, "other light is another input");
+        let none = Settings::default();
+        assert_ne!(key(&load(&scene, &none).unwrap(), &none, |_| true), noon);
+    }
 }

@@ -87,6 +87,7 @@ fn run(request: &Request, progress: &dyn Progress) -> Result<Baked, Error> {
     // The number of threads changes no byte.
     let key = input::key(&scene, settings, |name| name != "threads");
     let geometry = Geometry::new(&scene);
+    export::probe(&request.outputs)?;
     let store = transport::Store::new(&request.outputs, &scene, settings);
     let (lit, rays) = match &request.worker {
         Some(path) => light(&geometry, settings, &plan, &worker(path), Some(&store), &mut journal)?,
@@ -110,10 +111,22 @@ pub fn bake_scene(scene: &Scene, settings: &Settings, progress: &dyn Progress) -
 }
 
 /// What a bake of the file would do.
-pub fn plan_file(path: &Path, settings: &Settings, progress: &dyn Progress) -> Result<Plan, Error> {
+///
+/// With the place of its outputs, it looks there for stored light and marks the stages that would reuse it.
+pub fn plan_file(
+    path: &Path,
+    outputs: Option<&OutputSet>,
+    settings: &Settings,
+    progress: &dyn Progress,
+) -> Result<Plan, Error> {
     guarded(|| {
         progress.begin(Stage::Import.name(), 0);
-        Ok(Plan::new(&input::load(path, settings)?, settings))
+        let scene = input::load(path, settings)?;
+        let mut plan = Plan::new(&scene, settings);
+        if let Some(outputs) = outputs {
+            transport::foresee(&mut plan, &transport::Store::new(outputs, &scene, settings), &scene);
+        }
+        Ok(plan)
     })
 }
 
@@ -132,8 +145,14 @@ fn light<'g>(
         counters.insert("pages".into(), atlas.pages.len() as u64);
         counters.insert("charts".into(), atlas.charts.len() as u64);
         counters.insert("texels".into(), atlas.texels.len() as u64);
+        counters.insert("unwrapped_meshes".into(), u64::from(report.unwrapped));
+        counters.insert("shared_unwraps".into(), u64::from(report.shared));
+        counters.insert("kept_layouts".into(), report.kept.len() as u64);
         Ok((atlas, report))
     })?;
+    if let Some((_, report)) = &unwrapped {
+        journal.explain(Stage::Unwrap, &format!("{}; {}", plan.reason(Stage::Unwrap), report::layouts(report)));
+    }
     let (atlas, atlas_report) = unwrapped.unwrap_or_default();
     let rays = journal.run(plan, Stage::Rays, Some(0), |_, _| Ok(Rays::new(geometry)))?;
     let (texels, transport) = match &rays {
@@ -227,7 +246,7 @@ mod tests {
             assert!(error.to_string().contains("a bug in luxel"));
         }
         assert_eq!(report(), before);
-        let planned = plan_file(&request.scene, &Settings::default(), &Broken("import"));
+        let planned = plan_file(&request.scene, None, &Settings::default(), &Broken("import"));
         assert!(matches!(planned, Err(Error::Internal { .. })));
         bake(&request, &Silent).unwrap();
     }

@@ -1,5 +1,6 @@
 //! The bake's report: what ran, why, how long, and by which figures the result can be judged.
 
+use luxel_atlas::AtlasReport;
 use luxel_export::report::{EnergyLedger, Input, Report, SceneInfo, Setting, Table1, Warning};
 use luxel_scene::Scene;
 use serde_json::Value as Json;
@@ -79,8 +80,10 @@ pub fn fill(
     if let Some(miss) = &lit.transport.miss {
         warn(report, "cache-miss", miss.clone());
     }
-    atlas_warnings(report, lit);
-    if !scene.instances.is_empty() && plan.facts.receivers == 0 {
+    atlas_warnings(report, scene, lit);
+    if scene.triangle_count() == 0 {
+        warn(report, "no-geometry", "the scene has no triangles, so there is nothing to bake");
+    } else if plan.facts.receivers == 0 {
         warn(report, "nothing-receives", "nothing in the scene receives a lightmap");
     }
     if let Some(record) = &lit.transport.record {
@@ -135,7 +138,25 @@ fn quality(report: &mut Report, lit: &Lit, settings: &Settings, journal: &Journa
     }
 }
 
-fn atlas_warnings(report: &mut Report, lit: &Lit) {
+/// How the meshes came by their texels' layout, in words.
+pub fn layouts(atlas: &AtlasReport) -> String {
+    format!(
+        "meshes unwrapped: {}, further instances that share an unwrap: {}, meshes that keep their TEXCOORD_1: {}",
+        atlas.unwrapped,
+        atlas.shared,
+        atlas.kept.len()
+    )
+}
+
+/// Names of things that are too many to be listed, in one line.
+fn some<'a>(names: impl ExactSizeIterator<Item = &'a str>) -> String {
+    const SHOWN: usize = 3;
+    let rest = names.len().saturating_sub(SHOWN);
+    let list = names.take(SHOWN).collect::<Vec<_>>().join(", ");
+    if rest > 0 { format!("{list} and {rest} more") } else { list }
+}
+
+fn atlas_warnings(report: &mut Report, scene: &Scene, lit: &Lit) {
     let atlas = &lit.atlas_report;
     for (mesh, reason) in &atlas.unwrapped_anew {
         warn(report, "unwrapped-anew", format!("{mesh}: its TEXCOORD_1 is not used because {reason}"));
@@ -143,8 +164,14 @@ fn atlas_warnings(report: &mut Report, lit: &Lit) {
     for (mesh, reason, triangles) in &atlas.fallbacks {
         warn(report, "projected", format!("{mesh}: {triangles} triangles were projected because {reason}"));
     }
-    for (instance, density) in &atlas.lowered {
-        let message = format!("{instance}: lowered to {density:.3} texels per unit to fit on a page");
+    if let Some(least) = atlas.lowered.iter().map(|(_, density)| *density).min_by(f64::total_cmp) {
+        let names = some(atlas.lowered.iter().map(|(name, _)| name.as_str()));
+        let scaled = scene.instances.iter().any(|i| i.texel_scale != 1.0);
+        let message = format!(
+            "{names}: wanted {:.3} texels a unit{}, lowered to {least:.3} at least to fit on a page; a larger --size keeps it",
+            atlas.density,
+            if scaled { " times luxel_scale" } else { "" },
+        );
         warn(report, "density-lowered", message);
     }
 }
@@ -175,6 +202,19 @@ fn table1(plan: &Plan, lit: &Lit, journal: &Journal, record: &Record, seconds: f
 mod tests {
     use super::*;
     use serde_json::json;
+
+    #[test]
+    fn lowered_objects_are_told_in_one_line_with_the_remedy() {
+        let mut lit = Lit::default();
+        lit.atlas_report.density = 64.0;
+        lit.atlas_report.lowered = (0..9).map(|i| (format!("wall {i}"), 20.0 - f64::from(i))).collect();
+        let mut report = Report::default();
+        atlas_warnings(&mut report, &Scene::default(), &lit);
+        let [warning] = &report.warnings[..] else { panic!("{:?}", report.warnings) };
+        let expected = "wall 0, wall 1, wall 2 and 6 more: wanted 64.000 texels a unit, lowered to 12.000";
+        assert!(warning.message.starts_with(expected), "{}", warning.message);
+        assert!(warning.message.ends_with("a larger --size keeps it"));
+    }
 
     #[test]
     fn settings_keep_their_kind() {

@@ -8,6 +8,7 @@ use luxel_scene::{Scene, Sky};
 use luxel_transport::{
     Rgb,
     gather::{Field, refresh},
+    geometry::Geometry,
     lights::Emitters,
     octree::Octree,
     rays::Rays,
@@ -60,6 +61,9 @@ const KEY_SETTINGS: [&str; 20] = [
 
 /// The stages that a stored octree stands for.
 const STORED: [Stage; 4] = [Stage::Surfels, Stage::Shoot, Stage::Propagate, Stage::Refresh];
+
+/// Why they need not run where their octree is there.
+const REUSED: &str = "the stored light was made from the same input and settings";
 
 /// Everything that the gather reads.
 pub struct Transport {
@@ -166,13 +170,21 @@ pub fn run(
     Ok(Transport { emitters, surfels: Some((surfels, solution)), facts })
 }
 
+/// Marks the stages in a plan that stored light will stand for, by the very test that the bake applies.
+pub fn foresee(plan: &mut Plan, store: &Store, scene: &Scene) {
+    if plan.runs(Stage::Surfels) && store.read(Geometry::new(scene).triangles.len()).is_ok() {
+        for stage in STORED.into_iter().chain([Stage::Cache]) {
+            plan.reuse(stage, REUSED);
+        }
+    }
+}
+
 /// Writes the stages down that stored light stands for, with what they counted when they ran.
 fn reuse(record: &Record, plan: &Plan, journal: &mut Journal) {
     for stage in STORED.into_iter().chain([Stage::Cache]) {
         if plan.runs(stage) {
-            let reason = "the stored light was made from the same input and settings";
             let counters = record.counters.get(stage.name()).cloned().unwrap_or_default();
-            journal.note(stage, StageState::Reused, reason, 0.0, counters);
+            journal.note(stage, StageState::Reused, REUSED, 0.0, counters);
         } else {
             journal.left_out(plan, stage);
         }
@@ -268,7 +280,39 @@ fn voxel_settings(settings: &Settings) -> VoxelSettings {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::settings::Field as Setting;
+    use crate::settings::value::Samples;
+    use crate::settings::{Field as Setting, Preset};
+    use glam::Vec3;
+    use luxel_scene::{Silent, build::Builder};
+
+    /// What a stored octree is believed to be must not change under an unchanged key.
+    #[test]
+    fn the_light_at_surfels_is_that_of_its_stages_versions() {
+        let mut b = Builder::new("room");
+        let (wall, lamp) = (b.matte(Vec3::new(0.7, 0.5, 0.3)), b.emitter(Vec3::splat(0.5), Vec3::splat(10.0)));
+        b.cuboid("shell", Vec3::ZERO, Vec3::new(1.0, 0.8, 1.2), wall, true);
+        b.quad("lamp", Vec3::new(0.4, 0.7, 0.4), Vec3::X * 0.2, Vec3::Z * 0.2, lamp);
+        let scene = b.build();
+        let settings =
+            Settings { voxels: Voxels::Side(8), directions: Samples(64), ..Settings::preset(Preset::Medium) };
+        let geometry = Geometry::new(&scene);
+        let rays = Rays::new(&geometry);
+        let plan = Plan::new(&scene, &settings);
+        let light = run(&rays, &settings, &plan, None, &mut Journal::new(&Silent)).unwrap();
+        let (surfels, solution) = light.surfels.unwrap();
+        let hash = blake3::hash(&Octree::new(&surfels, &solution).to_bytes().unwrap()).to_hex();
+        let versions = STORED.map(|stage| format!("{} {}", stage.name(), stage.version())).join(", ");
+        let known = (
+            "surfels 2, shoot 1, propagate 2, refresh 1",
+            "a5937473ca316f9a43bfad336a5f73c569986f85bb9926a3b16f039792d55559",
+        );
+        assert_eq!(
+            (versions.as_str(), hash.as_str()),
+            known,
+            "the light at surfels has changed: raise the version of the stage that changed it in Stage::version, \
+             then write versions and hash here"
+        );
+    }
 
     #[test]
     fn the_key_names_settings_that_exist() {

@@ -30,8 +30,8 @@ pub enum Task {
     /// Bake scenes: irradiance as .exr, the scene with its lightmap as .glb, a picture, and a report.
     #[command(after_help = EXAMPLES)]
     Bake(Bake),
-    /// Say which stages a bake would run or leave out, why, and how much memory it would take.
-    Plan(Common),
+    /// Say which stages a bake would run, reuse or leave out, why, and how much memory it would take.
+    Plan(Bake),
     /// Print every setting with its effect, unit and default, in the form of a luxel.toml.
     Defaults,
     /// Unwrap meshes for a bake in another process.
@@ -78,6 +78,11 @@ impl Args for Flags {
             let mut arg = Arg::new(field.name).long(field.flag()).help_heading(field.group);
             arg = arg.help(help.clone()).long_help(format!("{help}\nValue: {}", (field.form)()));
             arg = arg.value_name(field.unit.to_uppercase()).allow_hyphen_values(true);
+            let check = |text: &str| match field.assign(&mut Settings::default(), text) {
+                true => Ok(text.to_owned()),
+                false => Err(format!("expected {}", (field.form)())),
+            };
+            arg = arg.value_parser(check);
             if field.is_switch {
                 // With an equals sign only, so that `--bound level.glb` names a scene.
                 arg = arg.num_args(0..=1).require_equals(true).default_missing_value("true");
@@ -97,9 +102,8 @@ impl FromArgMatches for Flags {
         let mut layer = Layer::new(Origin::CommandLine);
         for field in FIELDS {
             if let Some(text) = matches.get_one::<String>(field.name) {
-                let refused = |e: luxel::settings::SettingsError| {
-                    clap::Error::raw(ErrorKind::ValueValidation, format!("--{}: {e}\n", field.flag()))
-                };
+                // The flag's parser has accepted the text already.
+                let refused = |e| clap::Error::raw(ErrorKind::ValueValidation, e);
                 layer.set(field.name, text).map_err(refused)?;
             }
         }
@@ -146,6 +150,9 @@ mod tests {
     fn wrong_values_name_the_flag_and_what_fits() {
         let message = bake("luxel bake a.glb --size big").unwrap_err().to_string();
         assert!(message.contains("--size") && message.contains("16 to 16384"), "{message}");
+        let message = bake("luxel bake a.glb --sky noon.png").unwrap_err().to_string();
+        assert!(message.contains("'noon.png'") && message.contains("--sky") && message.contains(".hdr"), "{message}");
+        assert!(!message.contains("Usage"), "{message}");
         assert!(bake("luxel bake").is_err());
         assert!(bake("luxel bake a --siez 3").unwrap_err().to_string().contains("--size"));
     }

@@ -15,7 +15,7 @@ use clap::Parser;
 use luxel::discover::{self, Found};
 use luxel::settings::{Layer, Resolved, SettingsError, extras, resolve};
 use luxel::{Error, Request};
-use luxel_export::OutputSet;
+use luxel_export::{ExportError, OutputSet};
 use serde_json::json;
 
 use args::{Bake, Cli, Common, Task};
@@ -92,12 +92,13 @@ fn settings(scene: &Path, config: Option<&Layer>, flags: &Layer) -> Result<Resol
 fn bake(args: &Bake) -> anyhow::Result<u8> {
     let common = &args.common;
     let task = prepare(common, args.out.as_deref())?;
-    let places = places(&task.found, args.out.as_deref())?;
+    let mut places = places(&task.found, args.out.as_deref())?;
     let worker = std::env::current_exe().ok();
     each(&task, |found, reporter| {
+        let outputs = take(&mut places, found)?;
         let request = Request {
             scene: found.scene.clone(),
-            outputs: places[&found.scene].clone(),
+            outputs,
             settings: settings(&found.scene, task.config.as_ref(), &common.settings.0)?,
             worker: worker.clone(),
         };
@@ -108,11 +109,14 @@ fn bake(args: &Bake) -> anyhow::Result<u8> {
     })
 }
 
-fn plan(common: &Common) -> anyhow::Result<u8> {
-    let task = prepare(common, None)?;
+fn plan(args: &Bake) -> anyhow::Result<u8> {
+    let common = &args.common;
+    let task = prepare(common, args.out.as_deref())?;
+    let mut places = places(&task.found, args.out.as_deref())?;
     each(&task, |found, reporter| {
+        let outputs = take(&mut places, found)?;
         let settings = settings(&found.scene, task.config.as_ref(), &common.settings.0)?;
-        let plan = luxel::plan_file(&found.scene, &settings.settings, reporter)?;
+        let plan = luxel::plan_file(&found.scene, Some(&outputs), &settings.settings, reporter)?;
         reporter.finish();
         print::plan(task.style, &found.scene, &plan);
         Ok(())
@@ -123,7 +127,7 @@ fn plan(common: &Common) -> anyhow::Result<u8> {
 fn each(task: &Job, mut work: impl FnMut(&Found, &Reporter) -> Result<(), Error>) -> anyhow::Result<u8> {
     let mut failed: Vec<&PathBuf> = Vec::new();
     for found in &task.found {
-        let name = found.scene.display().to_string();
+        let name = print::written(&found.scene);
         if matches!(task.style, Style::Lines | Style::Bar) {
             say(&name);
         }
@@ -133,10 +137,11 @@ fn each(task: &Job, mut work: impl FnMut(&Found, &Reporter) -> Result<(), Error>
             Err(Error::Cancelled) => {
                 reporter.finish();
                 if task.style == Style::Json {
-                    event(&json!({ "event": "interrupted", "scene": name }));
+                    event(&json!({ "event": "interrupted", "scene": name, "failed": written(&failed) }));
                 } else {
-                    say("interrupted; nothing of this scene was written");
+                    say("interrupted; the outputs of an earlier bake are as they were");
                 }
+                name_failed(task, &failed);
                 return Ok(INTERRUPTED);
             }
             Err(error) => {
@@ -153,22 +158,49 @@ fn each(task: &Job, mut work: impl FnMut(&Found, &Reporter) -> Result<(), Error>
         }
     }
     if task.style == Style::Json {
-        event(&json!({ "event": "done", "scenes": task.found.len(), "failed": failed }));
-    } else if !failed.is_empty() && task.found.len() > 1 {
-        say(&format!("{} of {} scenes failed:", failed.len(), task.found.len()));
-        for scene in &failed {
-            say(&format!("  {}", scene.display()));
-        }
+        event(&json!({ "event": "done", "scenes": task.found.len(), "failed": written(&failed) }));
     }
+    name_failed(task, &failed);
     Ok(if failed.is_empty() { DONE } else { SOME_FAILED })
 }
 
-/// Where every scene's files go. Two scenes with the same place are an error of usage.
-fn places(found: &[Found], out: Option<&Path>) -> anyhow::Result<BTreeMap<PathBuf, OutputSet>> {
+fn written(scenes: &[&PathBuf]) -> Vec<String> {
+    scenes.iter().map(|scene| print::written(scene)).collect()
+}
+
+/// For a person, whose screen may have lost what was said when they failed.
+fn name_failed(task: &Job, failed: &[&PathBuf]) {
+    if task.style != Style::Json && !failed.is_empty() && task.found.len() > 1 {
+        say(&format!("{} of {} scenes failed:", failed.len(), task.found.len()));
+        for scene in failed {
+            say(&format!("  {}", scene.display()));
+        }
+    }
+}
+
+/// By scene.
+type Places = BTreeMap<PathBuf, Result<OutputSet, ExportError>>;
+
+/// The place of a scene, which is asked for once.
+fn take(places: &mut Places, found: &Found) -> Result<OutputSet, Error> {
+    let missing = || Error::Internal { what: format!("{} has no place for its outputs", found.scene.display()) };
+    Ok(places.remove(&found.scene).ok_or_else(missing)??)
+}
+
+/// Where every scene's files go. Two scenes with the same place are an error of usage, and so is a named scene without
+/// one; a scene that was found in a folder fails alone.
+fn places(found: &[Found], out: Option<&Path>) -> anyhow::Result<Places> {
     let mut places = BTreeMap::new();
     let mut taken: BTreeMap<PathBuf, &Path> = BTreeMap::new();
     for f in found {
-        let set = OutputSet::new(&f.scene, out, f.root.as_deref())?;
+        let set = match OutputSet::new(&f.scene, out, f.root.as_deref()) {
+            Ok(set) => set,
+            Err(error) if f.root.is_some() => {
+                places.insert(f.scene.clone(), Err(error));
+                continue;
+            }
+            Err(error) => return Err(error.into()),
+        };
         if let Some(other) = taken.insert(set.glb(), &f.scene) {
             anyhow::bail!(
                 "{} and {} would both write {}: bake them with different --out",
@@ -177,7 +209,7 @@ fn places(found: &[Found], out: Option<&Path>) -> anyhow::Result<BTreeMap<PathBu
                 set.glb().display()
             );
         }
-        places.insert(f.scene.clone(), set);
+        places.insert(f.scene.clone(), Ok(set));
     }
     Ok(places)
 }

@@ -8,6 +8,11 @@ use serde_json::json;
 
 use crate::cli::progress::{Style, duration, event, out, say};
 
+/// A path in an event. One that is not Unicode has no form in JSON: its other bytes are replaced.
+pub fn written(path: &Path) -> String {
+    path.display().to_string()
+}
+
 /// A finished scene: its files, and what a person should know.
 pub fn baked(style: Style, scene: &Path, baked: &Baked) {
     let report = &baked.report;
@@ -15,9 +20,9 @@ pub fn baked(style: Style, scene: &Path, baked: &Baked) {
         Style::Quiet => {}
         Style::Json => event(&json!({
             "event": "baked",
-            "scene": scene,
+            "scene": written(scene),
             "seconds": baked.seconds,
-            "outputs": baked.files,
+            "outputs": baked.files.iter().map(|file| written(file)).collect::<Vec<_>>(),
             "quality": report.quality,
             "warnings": report.warnings,
         })),
@@ -36,12 +41,16 @@ pub fn baked(style: Style, scene: &Path, baked: &Baked) {
 /// A plan as a table, or as one JSON object.
 pub fn plan(style: Style, scene: &Path, plan: &Plan) {
     if style == Style::Json {
-        event(&json!({ "event": "plan", "scene": scene, "plan": plan }));
+        event(&json!({ "event": "plan", "scene": written(scene), "plan": plan }));
         return;
     }
     let mut text = String::new();
     for step in &plan.steps {
-        let state = if step.runs { "run" } else { "left out" };
+        let state = match (step.runs, step.reused) {
+            (true, true) => "reused",
+            (true, false) => "run",
+            (false, _) => "left out",
+        };
         text += &format!("  {:<10} {state:<9} {}\n", step.stage.name(), step.reason);
     }
     let m = &plan.memory;

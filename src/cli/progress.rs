@@ -87,6 +87,15 @@ impl Reporter {
 impl Progress for Reporter {
     fn begin(&self, stage: &'static str, total: u64) {
         let mut current = self.lock();
+        // A stage may announce itself again, as voxels do on the way to their budget: it goes on.
+        if let Some(c) = current.as_mut().filter(|c| c.stage == stage) {
+            (c.total, c.done) = (total, 0);
+            if let Some(bar) = &c.bar {
+                bar.set_length(total);
+                bar.set_position(0);
+            }
+            return;
+        }
         self.end(&mut current);
         let now = Instant::now();
         let bar = (self.style == Style::Bar).then(|| bar(stage, total));
@@ -166,6 +175,19 @@ mod tests {
     fn durations_read_well() {
         let said: Vec<String> = [0.04, 59.4, 61.0, 3725.0].map(duration).into();
         assert_eq!(said, ["0.0 s", "59.4 s", "1 min 1 s", "1 h 2 min"]);
+    }
+
+    #[test]
+    fn a_stage_that_begins_again_goes_on() {
+        let reporter = Reporter::new(Style::Quiet, "a", Arc::default());
+        reporter.begin("voxelize", 10);
+        reporter.advance(7);
+        let since = reporter.lock().as_ref().map(|c| c.since);
+        reporter.begin("voxelize", 20);
+        let state = reporter.lock().as_ref().map(|c| (c.total, c.done, c.since));
+        assert_eq!(state, since.map(|since| (20, 0, since)));
+        reporter.begin("shoot", 5);
+        assert!(reporter.lock().as_ref().is_some_and(|c| c.stage == "shoot"));
     }
 
     #[test]

@@ -11,16 +11,22 @@ use luxel_scene::Limits;
 use luxel_scene::import::scene_extras;
 use serde_json::Value as Json;
 
-use super::{Layer, Origin, SettingsError};
+use super::{Layer, Origin, SettingsError, resolve::kind};
 
 /// The settings in the file's extras, read as the importer reads the file. A file that cannot be read or understood has
 /// none: the import, which reads it next, says what is wrong with it.
 pub fn read(path: &Path) -> Result<Option<Layer>, SettingsError> {
     let extras = scene_extras(path, &Limits::default()).ok().flatten();
-    let Some(object) = extras.as_ref().and_then(|e| e.get("luxel")).and_then(Json::as_object) else {
-        return Ok(None);
+    let origin = Origin::Extras(path.into());
+    let object = match extras.as_ref().and_then(|e| e.get("luxel")) {
+        None | Some(Json::Null) => return Ok(None),
+        Some(Json::Object(object)) => object,
+        Some(other) => {
+            let (name, form) = ("luxel".into(), "a table of settings".into());
+            return Err(SettingsError::Kind { origin, name, found: kind(other), form });
+        }
     };
-    let mut layer = Layer::from_json(object, Origin::Extras(path.into()))?;
+    let mut layer = Layer::from_json(object, origin)?;
     layer.anchor(path.parent().unwrap_or(Path::new("")));
     Ok(Some(layer))
 }
@@ -54,5 +60,11 @@ mod tests {
         assert!(read(&path).unwrap().is_none());
         std::fs::write(&path, SCENE.replace("size", "siez")).unwrap();
         assert!(read(&path).unwrap_err().to_string().contains("`size`"));
+        for (value, kind) in [("7", "number"), ("\"size=64\"", "text"), ("[64]", "list"), ("true", "switch")] {
+            let scene = format!(r#"{{"asset":{{"version":"2.0"}},"scenes":[{{"extras":{{"luxel":{value}}}}}]}}"#);
+            std::fs::write(&path, scene).unwrap();
+            let said = read(&path).unwrap_err().to_string();
+            assert!(said.contains("`luxel`") && said.contains(kind) && said.contains("table"), "{said}");
+        }
     }
 }

@@ -220,12 +220,15 @@ fn plain(value: &Json) -> Option<String> {
     }
 }
 
-/// What a value without a written form is, for messages.
-fn kind(value: &Json) -> &'static str {
+/// What a value is, for messages.
+pub(super) fn kind(value: &Json) -> &'static str {
     match value {
         Json::Array(_) => "list",
         Json::Object(_) => "table",
-        _ => "null",
+        Json::String(_) => "text",
+        Json::Number(_) => "number",
+        Json::Bool(_) => "switch",
+        Json::Null => "null",
     }
 }
 

@@ -2,9 +2,11 @@
 //! scene's extras and in the report.
 
 use std::fmt;
+use std::ops::RangeInclusive;
 use std::path::PathBuf;
 
 use glam::Vec3;
+use luxel_transport::surfel::MAX_SIDE;
 
 /// A value that a person can write down.
 pub trait Value: Sized {
@@ -161,6 +163,12 @@ impl Value for OrAuto {
     }
 }
 
+/// Surfels that can be asked for.
+const BUDGET: RangeInclusive<u32> = 100..=50_000_000;
+
+/// Fewest voxels along the longest side.
+const MIN_SIDE: u32 = 2;
+
 /// How large a voxel is.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Voxels {
@@ -174,17 +182,22 @@ pub enum Voxels {
 
 impl Value for Voxels {
     fn form() -> String {
-        "a number of surfels (100000), side:N voxels along the longest side (side:128), or edge:LENGTH (edge:0.1)"
-            .into()
+        format!(
+            "a number of surfels from {} to {} (100000), side:N voxels along the longest side from {} to {MAX_SIDE} \
+             (side:128), or edge:LENGTH (edge:0.1)",
+            BUDGET.start(),
+            BUDGET.end(),
+            MIN_SIDE,
+        )
     }
     fn read(text: &str) -> Option<Self> {
         if let Some(side) = text.strip_prefix("side:") {
-            return side.parse().ok().filter(|n| (2..=4096).contains(n)).map(Self::Side);
+            return side.parse().ok().filter(|n| (MIN_SIDE..=MAX_SIDE).contains(n)).map(Self::Side);
         }
         if let Some(edge) = text.strip_prefix("edge:") {
             return edge.parse().ok().filter(|e: &f32| *e > 0.0 && e.is_finite()).map(Self::Edge);
         }
-        text.parse().ok().filter(|n| (100..=50_000_000).contains(n)).map(Self::Budget)
+        text.parse().ok().filter(|n| BUDGET.contains(n)).map(Self::Budget)
     }
     fn write(&self) -> String {
         match self {
@@ -273,6 +286,7 @@ mod tests {
         same("0,0,1/1,1,1/0,0,0", gradient);
         same("skies/noon.HDR", SkySetting::Image("skies/noon.HDR".into()));
         same("side:128", Voxels::Side(128));
+        same("side:2048", Voxels::Side(MAX_SIDE));
         same("edge:0.25", Voxels::Edge(0.25));
         same("100000", Voxels::Budget(100_000));
         same("auto", OrAuto(None));
@@ -284,7 +298,7 @@ mod tests {
         for text in ["1,2", "1,2,-3", "1,2,NaN", "noon.png", "", "inf,0,0", "0,0,1/1,1,1"] {
             assert_eq!(SkySetting::read(text), None, "{text}");
         }
-        for text in ["side:1", "edge:0", "edge:-1", "edge:inf", "5", "-5", "many"] {
+        for text in ["side:1", "side:2049", "edge:0", "edge:-1", "edge:inf", "5", "-5", "many"] {
             assert_eq!(Voxels::read(text), None, "{text}");
         }
         assert_eq!(Factor::read("NaN"), None);

@@ -1,12 +1,14 @@
 //! The whole way from a scene to its atlas.
 
+use std::collections::BTreeSet;
+
 use glam::Vec2;
 use luxel_scene::{Progress, Scene};
 use rayon::prelude::*;
 
 use crate::blocks::{self, Block};
 use crate::charts::{Charts, NO_CHART};
-use crate::layout::{Layout, Source, Unwraps};
+use crate::layout::{Layout, MeshKey, Source, Unwraps};
 use crate::mesh::mesh_key;
 use crate::place::{self, Place, Placement};
 use crate::settings::{AtlasError, AtlasReport, AtlasSettings};
@@ -231,6 +233,15 @@ fn report(
     let fallbacks = named.iter().flat_map(|(mesh, charts)| {
         charts.fallbacks.iter().map(|(why, n)| (scene.meshes[*mesh].name.clone(), why.clone(), *n))
     });
+    let keys: Vec<MeshKey> = layout
+        .sources
+        .iter()
+        .filter_map(|source| match source {
+            Source::Unwrap(key) => Some(*key),
+            _ => None,
+        })
+        .collect();
+    let different: BTreeSet<MeshKey> = keys.iter().copied().collect();
     // A group is numbered by its turn among the receiving instances and authored groups.
     let leaders: Vec<usize> = (0..scene.instances.len())
         .filter(|&i| match layout.sources[i] {
@@ -253,6 +264,8 @@ fn report(
         texels: atlas.texels.len() as u32,
         utilisation: atlas.texels.iter().map(|t| f64::from(t.coverage())).sum::<f64>() / page_texels,
         occupied: placement.occupied as f64 / page_texels,
+        unwrapped: different.len() as u32,
+        shared: (keys.len() - different.len()) as u32,
         kept: layout.kept.clone(),
         unwrapped_anew: layout.refused.clone(),
         fallbacks: fallbacks.collect(),

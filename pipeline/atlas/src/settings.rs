@@ -82,6 +82,10 @@ pub struct AtlasReport {
     pub utilisation: f64,
     /// The same with every chart's padding counted as used.
     pub occupied: f64,
+    /// Different meshes that were unwrapped.
+    pub unwrapped: u32,
+    /// Further instances that share the unwrap of one of them.
+    pub shared: u32,
     /// Meshes whose authored TEXCOORD_1 is kept.
     pub kept: Vec<String>,
     /// Meshes with an authored TEXCOORD_1 that cannot serve, and why.

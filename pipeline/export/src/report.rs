@@ -70,7 +70,8 @@ pub struct Setting {
     pub name: String,
     /// A number, boolean, list of numbers, or word.
     pub value: Value,
-    /// `default`, `preset medium`, a configuration file's name, `extras` or `command line`.
+    /// `default`, `preset medium`, a configuration file's name, `extras of` the scene's path, `command line`, or
+    /// `caller` where a program that embeds luxel chose it.
     pub origin: String,
 }
 
