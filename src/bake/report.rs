@@ -69,7 +69,12 @@ pub fn fill(
         report.counters.insert(name.into(), count);
     }
     quality(report, plan, lit, settings, journal);
-    if settings.bound && !settings.states_bound() {
+    if settings.bound && settings.states_bound() && !plan.runs(Stage::Gather) {
+        let reason = plan.reason(Stage::Gather);
+        let message =
+            format!("no bound image is written: no light was gathered that a bound could be stated of ({reason})");
+        warn(report, "no-bound", message);
+    } else if settings.bound && !settings.states_bound() {
         let mode = settings.gather_mode().write();
         let message = format!(
             "the gather mode {mode} states no error bound, so no bound image is written; --gather lightcuts states one"
@@ -115,7 +120,7 @@ fn quality(report: &mut Report, plan: &Plan, lit: &Lit, settings: &Settings, jou
         put("mean_irradiance_lux", (direct + indirect) / area);
         put("mean_direct_lux", direct / area);
         put("mean_indirect_lux", indirect / area);
-        if settings.states_bound() || !plan.runs(Stage::Gather) {
+        if settings.states_bound() && plan.runs(Stage::Gather) {
             put("mean_bound_lux", bound / area);
         }
     }
