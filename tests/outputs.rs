@@ -323,6 +323,22 @@ fn a_scene_in_which_nothing_receives_comes_through_and_is_told_of() {
 }
 
 #[test]
+fn the_papers_variants_are_other_light() {
+    let folder = folder(&["cornell.glb"]);
+    let bake = |flags: &[&str]| {
+        quick(&[&["bake", "cornell.glb"], flags].concat(), folder.path()).ended(0);
+        let outputs = Outputs::read(&folder.path().join("baked"), "cornell");
+        assert_eq!(outputs.stage("propagate").0, "ran", "{flags:?}");
+        outputs.report["quality"]["mean_indirect_lux"].as_f64().unwrap()
+    };
+    let plain = bake(&[]);
+    let variants = [["--direction-set", "integer"], ["--rule", "literal"], ["--area", "faces"]];
+    let light = variants.map(|flags| bake(&flags));
+    assert!(light.iter().all(|l| *l > 0.0 && *l != plain), "{light:?}, not {plain}");
+    assert!(light[1] < 0.9 * plain, "the literal rule loses light: {light:?}, {plain}");
+}
+
+#[test]
 fn what_was_not_gathered_states_no_bound() {
     let folder = folder(&["cornell.glb"]);
     let flags = ["bake", "cornell.glb", "--only", "direct", "--gather", "lightcuts", "--bound"];
