@@ -13,8 +13,10 @@
 //! Whatever does not verify is a [`Miss`] with its reason: the caller tells it and makes the content anew.
 
 use std::fs::File;
-use std::io::{Read, Write};
+use std::io::Read;
 use std::path::Path;
+
+use luxel_export::ExportError;
 
 const HEADER: usize = 8 + 4 + 32 + 8 + 32;
 
@@ -58,14 +60,10 @@ pub enum Miss {
 
 /// Writes `body` under `key`, whole or not at all.
 pub fn write(path: &Path, format: Format, key: &Key, body: &[u8]) -> std::io::Result<()> {
-    let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    std::fs::create_dir_all(folder)?;
-    let mut file = tempfile::NamedTempFile::new_in(folder)?;
-    file.write_all(&header(format, key, body))?;
-    file.write_all(body)?;
-    file.as_file().sync_all()?;
-    file.persist(path).map_err(|e| e.error)?;
-    Ok(())
+    luxel_export::write_atomic_parts(path, &[&header(format, key, body), body]).map_err(|error| match error {
+        ExportError::Io { source, .. } => source,
+        error => std::io::Error::other(error),
+    })
 }
 
 /// The body stored under `key`, verified.
@@ -142,6 +140,17 @@ mod tests {
         assert_eq!(bytes.len(), HEADER + BODY.len());
         write(&path, OCTREE, &KEY, b"").unwrap();
         assert_eq!(read(&path, OCTREE, &KEY).unwrap(), b"");
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn a_stored_file_is_as_readable_as_any_other() {
+        use std::os::unix::fs::PermissionsExt;
+        let (folder, path, _) = stored();
+        let plain = folder.path().join("plain");
+        std::fs::write(&plain, b"x").unwrap();
+        let mode = |p: &Path| std::fs::metadata(p).unwrap().permissions().mode();
+        assert_eq!(mode(&path), mode(&plain));
     }
 
     #[test]

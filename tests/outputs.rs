@@ -292,4 +292,61 @@ fn the_output_can_be_baked_again() {
     assert!(second.warnings("unwrapped-anew").is_empty(), "{:?}", second.warnings("unwrapped-anew"));
     let d = difference(&first, &second, 1.0, 2000);
     assert!(d.rmse < 0.05 && d.bias.abs() < 0.02, "{d:?}");
+
+    // Nothing piles up, and the reference is to the new lightmap.
+    std::fs::copy(folder.path().join("baked/second.glb"), folder.path().join("third.glb")).unwrap();
+    quick(&["bake", "third.glb"], folder.path()).ended(0);
+    let third = Outputs::read(&folder.path().join("baked"), "third");
+    for kind in ["images", "textures", "samplers", "materials", "meshes", "accessors", "bufferViews"] {
+        let counts = [&first, &second, &third].map(|o| o.document[kind].as_array().unwrap().len());
+        assert!(counts == [counts[0]; 3], "{kind}: {counts:?}");
+    }
+    let lightmap = &third.document["textures"][0]["extras"]["luxel"]["lightmap"];
+    assert_eq!(lightmap, "third.lightmap.exr");
+}
+
+#[test]
+fn a_scene_in_which_nothing_receives_comes_through_and_is_told_of() {
+    let folder = folder(&[]);
+    let (mut document, bin) = parts("cornell.glb");
+    for node in document["nodes"].as_array_mut().unwrap() {
+        node["extras"] = json!({"luxel_receive": false});
+    }
+    write_gltf(folder.path(), "a", document, &bin);
+    quick(&["bake", "a.gltf"], folder.path()).ended(0);
+    let outputs = Outputs::read(&folder.path().join("baked"), "a");
+    assert_eq!(outputs.warnings("nothing-receives").len(), 1);
+    assert!(outputs.scene.triangle_count() > 0 && outputs.lightmaps.is_empty());
+    for stage in ["unwrap", "finish"] {
+        assert_eq!(outputs.stage(stage).0, "left out", "{stage}");
+    }
+}
+
+#[test]
+fn the_papers_variants_are_other_light() {
+    let folder = folder(&["cornell.glb"]);
+    let bake = |flags: &[&str]| {
+        quick(&[&["bake", "cornell.glb"], flags].concat(), folder.path()).ended(0);
+        let outputs = Outputs::read(&folder.path().join("baked"), "cornell");
+        assert_eq!(outputs.stage("propagate").0, "ran", "{flags:?}");
+        outputs.report["quality"]["mean_indirect_lux"].as_f64().unwrap()
+    };
+    let plain = bake(&[]);
+    let variants = [["--direction-set", "integer"], ["--rule", "literal"], ["--area", "faces"]];
+    let light = variants.map(|flags| bake(&flags));
+    assert!(light.iter().all(|l| *l > 0.0 && *l != plain), "{light:?}, not {plain}");
+    assert!(light[1] < 0.9 * plain, "the literal rule loses light: {light:?}, {plain}");
+}
+
+#[test]
+fn what_was_not_gathered_states_no_bound() {
+    let folder = folder(&["cornell.glb"]);
+    let flags = ["bake", "cornell.glb", "--only", "direct", "--gather", "lightcuts", "--bound"];
+    quick(&flags, folder.path()).ended(0);
+    let baked = folder.path().join("baked");
+    let outputs = Outputs::read(&baked, "cornell");
+    assert!(!baked.join("cornell.bound.exr").exists());
+    assert!(outputs.report["quality"].get("mean_bound_lux").is_none());
+    let told = outputs.warnings("no-bound");
+    assert!(told.len() == 1 && told[0].contains("only"), "{told:?}");
 }

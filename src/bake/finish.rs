@@ -7,6 +7,7 @@ use luxel_transport::Rgb;
 
 use super::texels::TexelLight;
 use crate::Error;
+use crate::plan::{Plan, Stage};
 use crate::settings::Settings;
 
 /// One lightmap per page, and one map of stated bounds where the settings ask for it and the gather states one.
@@ -15,14 +16,16 @@ pub fn run(
     atlas: &Atlas,
     light: &TexelLight,
     settings: &Settings,
+    plan: &Plan,
 ) -> Result<(Vec<Lightmap>, Vec<BoundMap>, FinishReport), Error> {
     let how = FinishSettings { padding: settings.padding.0, ..FinishSettings::default() };
     let open = |i: usize| !light.buried[i];
     let (images, report) = finish(scene, atlas, |i| open(i).then(|| light.total(i)), &how)?;
     let lightmaps = images.into_iter().map(lightmap).collect::<Result<_, _>>()?;
     let mut bounds = Vec::new();
-    // A mode that states no bound must not seem to state that its error is nothing.
-    if settings.bound && settings.states_bound() {
+    // What states no bound, be it the mode or because nothing was gathered, must not seem to state that its error is
+    // nothing.
+    if settings.bound && settings.states_bound() && plan.runs(Stage::Gather) {
         // A bound is no light: a seam may show in it.
         let how = FinishSettings { stitch: false, ..how };
         let (images, _) = finish(scene, atlas, |i| open(i).then(|| Rgb::splat(light.bound[i])), &how)?;

@@ -153,7 +153,9 @@ fn light<'g>(
     if let Some((_, report)) = &unwrapped {
         journal.explain(Stage::Unwrap, &format!("{}; {}", plan.reason(Stage::Unwrap), report::layouts(report)));
     }
-    let (atlas, atlas_report) = unwrapped.unwrap_or_default();
+    // Without an unwrap no instance has a place, and the atlas still says so of every one of them.
+    let nowhere = || (Atlas { placed: vec![None; scene.instances.len()], ..Atlas::default() }, AtlasReport::default());
+    let (atlas, atlas_report) = unwrapped.unwrap_or_else(nowhere);
     let rays = journal.run(plan, Stage::Rays, Some(0), |_, _| Ok(Rays::new(geometry)))?;
     let (texels, transport) = match &rays {
         Some(rays) => {
@@ -168,7 +170,7 @@ fn light<'g>(
         }
     };
     let images = journal.run(plan, Stage::Finish, Some(0), |_, counters| {
-        let (lightmaps, bounds, report) = finish::run(scene, &atlas, &texels, settings)?;
+        let (lightmaps, bounds, report) = finish::run(scene, &atlas, &texels, settings, plan)?;
         counters.insert("filled_texels".into(), report.filled.into());
         counters.insert("lost_texels".into(), report.lost.into());
         counters.insert("seam_samples".into(), report.seam_samples.into());

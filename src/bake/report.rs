@@ -69,8 +69,13 @@ pub fn fill(
     ] {
         report.counters.insert(name.into(), count);
     }
-    quality(report, lit, settings, journal);
-    if settings.bound && !settings.states_bound() {
+    quality(report, plan, lit, settings, journal);
+    if settings.bound && settings.states_bound() && !plan.runs(Stage::Gather) {
+        let reason = plan.reason(Stage::Gather);
+        let message =
+            format!("no bound image is written: no light was gathered that a bound could be stated of ({reason})");
+        warn(report, "no-bound", message);
+    } else if settings.bound && !settings.states_bound() {
         let mode = settings.gather_mode().write();
         let message = format!(
             "the gather mode {mode} states no error bound, so no bound image is written; --gather lightcuts states one"
@@ -98,7 +103,7 @@ fn warn(report: &mut Report, code: &str, message: impl Into<String>) {
 }
 
 /// Figures by which a result can be judged; sums in f64 in the order of texels.
-fn quality(report: &mut Report, lit: &Lit, settings: &Settings, journal: &Journal) {
+fn quality(report: &mut Report, plan: &Plan, lit: &Lit, settings: &Settings, journal: &Journal) {
     let (mut area, mut direct, mut indirect, mut bound) = (0.0, 0.0, 0.0, 0.0);
     let light = &lit.texels;
     for (i, texel) in lit.atlas.texels.iter().enumerate() {
@@ -118,7 +123,7 @@ fn quality(report: &mut Report, lit: &Lit, settings: &Settings, journal: &Journa
         put("mean_irradiance_lux", (direct + indirect) / area);
         put("mean_direct_lux", direct / area);
         put("mean_indirect_lux", indirect / area);
-        if settings.bound && settings.states_bound() {
+        if settings.bound && settings.states_bound() && plan.runs(Stage::Gather) {
             put("mean_bound_lux", bound / area);
         }
     }

@@ -6,7 +6,7 @@ use luxel_export::OutputSet;
 use luxel_export::report::StageState;
 use luxel_scene::{Scene, Sky};
 use luxel_transport::{
-    Rgb,
+    Rgb, directions,
     gather::{Field, refresh},
     geometry::Geometry,
     lights::Emitters,
@@ -14,7 +14,8 @@ use luxel_transport::{
     rays::Rays,
     shoot::{self, PhotonSettings},
     solve::{SolveSettings, is_closed, solve},
-    surfel::{Resolution, Solution, Surfels, VoxelSettings},
+    surfel::{AreaRule, Resolution, Solution, Surfels, VoxelSettings},
+    sweep,
 };
 
 use super::journal::Journal;
@@ -22,7 +23,7 @@ use super::record::Record;
 use super::{direct, input};
 use crate::Error;
 use crate::plan::{Plan, Stage};
-use crate::settings::{Closed, Settings, Voxels};
+use crate::settings::{Area, Closed, DirectionSet, Rule, Settings, Voxels};
 use crate::store::{self, Key, Miss};
 
 /// Probe rays that decide whether a scene is closed.
@@ -35,7 +36,7 @@ const POINTS: u32 = 5;
 const PHOTONS_PER_POINT: u32 = 256;
 
 /// The settings that the light at surfels depends on.
-const KEY_SETTINGS: [&str; 20] = [
+const KEY_SETTINGS: [&str; 23] = [
     "sky",
     "sky_rotation",
     "sky_strength",
@@ -52,6 +53,9 @@ const KEY_SETTINGS: [&str; 20] = [
     "refresh",
     "closed",
     "photons",
+    "direction_set",
+    "rule",
+    "area",
     "shadow_samples",
     // Where emissive surfaces are too many, cuts gather their light at surfels too.
     "cut_error",
@@ -264,6 +268,14 @@ fn solve_settings(rays: &Rays, surfels: &Surfels, settings: &Settings) -> SolveS
         max_bounces: settings.bounces.0,
         tolerance: f64::from(settings.tolerance.0),
         closed,
+        set: match settings.direction_set {
+            DirectionSet::Fibonacci => directions::DirectionSet::Fibonacci,
+            DirectionSet::Integer => directions::DirectionSet::Integer,
+        },
+        rule: match settings.rule {
+            Rule::Surface => sweep::Rule::Surface,
+            Rule::Literal => sweep::Rule::Literal,
+        },
         ..SolveSettings::default()
     }
 }
@@ -274,7 +286,11 @@ fn voxel_settings(settings: &Settings) -> VoxelSettings {
         Voxels::Side(n) => Resolution::Side(n),
         Voxels::Edge(e) => Resolution::Edge(f64::from(e)),
     };
-    VoxelSettings { resolution, ..VoxelSettings::default() }
+    let area = match settings.area {
+        Area::Clipped => AreaRule::Clipped,
+        Area::Faces => AreaRule::FaceCount,
+    };
+    VoxelSettings { resolution, area }
 }
 
 #[cfg(test)]

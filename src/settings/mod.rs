@@ -11,7 +11,7 @@ pub mod value;
 
 pub use resolve::{Layer, Origin, Resolved, SettingsError, resolve};
 use value::*;
-pub use value::{Closed, DoubleSided, GatherMode, Only, Preset, SkySetting, Voxels};
+pub use value::{Area, Closed, DirectionSet, DoubleSided, GatherMode, Only, Preset, Rule, SkySetting, Voxels};
 
 /// A setting: its name and how to read, write and explain it.
 #[derive(Debug)]
@@ -138,6 +138,14 @@ settings! {
         /// Shoots the lights as this many photons, as the paper does, instead of computing their light at surfels
         /// exactly; 0 is off.
         ["count"] photons: Count = Count(0);
+        /// Directions of the bounces: an even spiral, or the paper's integer vectors, for comparison.
+        ["choice"] direction_set: DirectionSet = DirectionSet::Fibonacci;
+        /// How voxels on a line see each other: by the surfaces in them, or the next one always, which is the paper's
+        /// rule and loses light; for comparison.
+        ["choice"] rule: Rule = Rule::Surface;
+        /// Area of the surface in a voxel: of its clipped triangles, or by the paper's count of free faces, for
+        /// comparison.
+        ["choice"] area: Area = Area::Clipped;
     }
     "Gathering" {
         /// How indirect light is gathered at texels.

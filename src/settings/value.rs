@@ -144,6 +144,36 @@ words! {
     }
 }
 
+words! {
+    /// Directions along which light bounces.
+    DirectionSet {
+        /// A rotated spiral, equal weights.
+        Fibonacci = "fibonacci",
+        /// The paper's integer vectors.
+        Integer = "integer",
+    }
+}
+
+words! {
+    /// Which voxel of a line sees which.
+    Rule {
+        /// Voxels of one surface share what a line carries.
+        Surface = "surface",
+        /// The paper's: the next voxel is the visible one.
+        Literal = "literal",
+    }
+}
+
+words! {
+    /// Area of a voxel's surface.
+    Area {
+        /// Of the triangles, clipped to the voxel.
+        Clipped = "clipped",
+        /// The paper's equation (1), from the voxel's free faces.
+        Faces = "faces",
+    }
+}
+
 /// A number, or `auto`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct OrAuto(pub Option<f32>);

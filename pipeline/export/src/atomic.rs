@@ -1,33 +1,74 @@
 //! Files that are either the old one or the new one, whole, whatever happens in between.
 
-use std::{fs, io, path::Path};
+use std::{
+    collections::BTreeSet,
+    fs,
+    io::{self, Write},
+    path::Path,
+};
 
 use crate::ExportError;
 
 /// Replaces `path` by `bytes`: a temporary file in the same folder is written, flushed to the disk and renamed over
 /// it. Missing folders are created. On any error the old file is untouched and the temporary one is gone.
 pub fn write_atomic(path: &Path, bytes: &[u8]) -> Result<(), ExportError> {
-    let folder = match path.parent() {
-        Some(folder) if !folder.as_os_str().is_empty() => folder,
-        _ => Path::new("."),
-    };
-    fs::create_dir_all(folder).map_err(|e| ExportError::io("create the folder", folder, e))?;
-    replace(path, folder, |file| io::Write::write_all(file, bytes)).map_err(|e| ExportError::io("write", path, e))
+    write_atomic_parts(path, &[bytes])
 }
 
-fn replace(path: &Path, folder: &Path, fill: impl FnOnce(&mut fs::File) -> io::Result<()>) -> io::Result<()> {
+/// [`write_atomic`] of a content that lies in several parts.
+pub fn write_atomic_parts(path: &Path, parts: &[&[u8]]) -> Result<(), ExportError> {
+    persist(vec![stage(path, |file| parts.iter().try_for_each(|part| file.write_all(part)))?])
+}
+
+/// A finished file under a temporary name, which goes when this is dropped.
+pub(crate) struct Staged<'a> {
+    file: tempfile::NamedTempFile,
+    path: &'a Path,
+}
+
+/// The folder of a file.
+fn folder(path: &Path) -> &Path {
+    path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."))
+}
+
+/// Writes what is to become `path` beside it and flushes it to the disk. Refuses what a rename could not replace.
+pub(crate) fn stage(
+    path: &Path,
+    fill: impl FnOnce(&mut fs::File) -> io::Result<()>,
+) -> Result<Staged<'_>, ExportError> {
+    let folder = folder(path);
+    fs::create_dir_all(folder).map_err(|e| ExportError::io("create the folder", folder, e))?;
+    if path.is_dir() {
+        return Err(ExportError::io("write", path, io::ErrorKind::IsADirectory.into()));
+    }
     let mut builder = tempfile::Builder::new();
     builder.prefix(".luxel-").suffix(".tmp");
     // A temporary file is private by default; an output is as readable as the umask says.
     #[cfg(unix)]
     builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
-    let mut file = builder.tempfile_in(folder)?;
-    fill(file.as_file_mut())?;
-    file.as_file().sync_all()?;
-    file.persist(path).map_err(|e| e.error)?;
-    // The rename itself reaches the disk with the folder; only Unix can open one.
+    let filled = || {
+        let mut file = builder.tempfile_in(folder)?;
+        fill(file.as_file_mut())?;
+        file.as_file().sync_all()?;
+        Ok(file)
+    };
+    Ok(Staged { file: filled().map_err(|e| ExportError::io("write", path, e))?, path })
+}
+
+/// Renames staged files to what they are to be, in their order. All that can be expected to fail (space, permission, a
+/// name that is taken) has done so before: only a fault of the disk between two renames can part them.
+pub(crate) fn persist(files: Vec<Staged>) -> Result<(), ExportError> {
+    let mut folders = BTreeSet::new();
+    for Staged { file, path } in files {
+        file.persist(path).map_err(|e| ExportError::io("write", path, e.error))?;
+        folders.insert(folder(path));
+    }
+    // The renames themselves reach the disk with the folder; only Unix can open one.
     #[cfg(unix)]
-    fs::File::open(folder)?.sync_all()?;
+    for folder in folders {
+        let flushed = fs::File::open(folder).and_then(|f| f.sync_all());
+        flushed.map_err(|e| ExportError::io("write the folder", folder, e))?;
+    }
     Ok(())
 }
 
@@ -57,8 +98,8 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("level.glb");
         write_atomic(&path, b"old").unwrap();
-        let failed = replace(&path, dir.path(), |file| {
-            io::Write::write_all(file, b"half of the n")?;
+        let failed = stage(&path, |file| {
+            file.write_all(b"half of the n")?;
             Err(io::Error::other("disk full"))
         });
         assert!(failed.is_err());

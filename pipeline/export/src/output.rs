@@ -2,14 +2,14 @@
 
 use std::{
     borrow::Cow,
+    fs, io,
     path::{Path, PathBuf},
 };
 
 use crate::{
-    BoundMap, Depth, ExportError, Lightmap,
+    BoundMap, Depth, ExportError, Lightmap, atomic,
     openexr::{encode_bound_exr, encode_exr},
     report::{Output, Report},
-    write_atomic,
 };
 
 /// Folder beside a scene that receives its outputs unless another is named.
@@ -114,10 +114,20 @@ impl OutputSet {
         (0..pages).filter_map(|p| self.lightmap(p, pages).file_name()?.to_str().map(str::to_owned)).collect()
     }
 
-    /// Writes images, glb, and last the report, which thereby lists the hashes of all the others. Every file appears
-    /// whole; the report tells whether the files beside it belong together. Images of an earlier bake with other
-    /// page numbers are removed last.
+    /// Writes images, glb, and last the report, which thereby lists the hashes of all the others. All files are
+    /// complete and on the disk under temporary names before the first takes its place: when one cannot be written, all
+    /// old ones stay. Images of an earlier bake that this one has not (other pages, no bound, no preview) are removed
+    /// last.
     pub fn write(&self, files: &Files, report: &mut Report) -> Result<(), ExportError> {
+        self.write_by(files, report, io::Write::write_all)
+    }
+
+    fn write_by(
+        &self,
+        files: &Files,
+        report: &mut Report,
+        mut fill: impl FnMut(&mut fs::File, &[u8]) -> io::Result<()>,
+    ) -> Result<(), ExportError> {
         let pages = files.lightmaps.len();
         let mut ready: Vec<(PathBuf, Cow<[u8]>)> = Vec::new();
         for (i, map) in files.lightmaps.iter().enumerate() {
@@ -132,19 +142,21 @@ impl OutputSet {
         ready.push((self.glb(), files.glb.into()));
         report.outputs = ready.iter().map(|(path, bytes)| output(path, bytes)).collect();
         let json = report.to_json()?;
+        ready.push((self.report(), json.into()));
         let names: Vec<&PathBuf> = ready.iter().map(|(path, _)| path).collect();
         let stale = self.stale(&names)?;
+        let mut staged = Vec::new();
         for (path, bytes) in &ready {
-            write_atomic(path, bytes)?;
+            staged.push(atomic::stage(path, |file| fill(file, bytes))?);
         }
-        write_atomic(&self.report(), &json)?;
+        atomic::persist(staged)?;
         for path in stale {
             std::fs::remove_file(&path).map_err(|e| ExportError::io("remove the outdated", &path, e))?;
         }
         Ok(())
     }
 
-    /// Lightmap and bound images in the folder that bear this stem's name and are not among `current`.
+    /// Lightmap, bound and preview images in the folder that bear this stem's name and are not among `current`.
     fn stale(&self, current: &[&PathBuf]) -> Result<Vec<PathBuf>, ExportError> {
         let entries = match std::fs::read_dir(&self.folder) {
             Ok(entries) => entries,
@@ -165,10 +177,10 @@ impl OutputSet {
         Ok(stale)
     }
 
-    /// `stem.lightmap.exr`, `stem.bound.3.exr` and the like.
+    /// `stem.lightmap.exr`, `stem.bound.3.exr`, `stem.preview.png` and the like.
     fn is_image_name(&self, name: &str) -> bool {
         let Some(rest) = name.strip_prefix(&self.stem).and_then(|r| r.strip_prefix('.')) else { return false };
-        let Some(rest) = rest.strip_suffix(".exr") else { return false };
+        let Some(rest) = rest.strip_suffix(".exr") else { return rest == "preview.png" };
         ["lightmap", "bound"].iter().any(|kind| {
             rest.strip_prefix(kind).is_some_and(|page| {
                 page.is_empty()
@@ -300,6 +312,59 @@ mod tests {
             "level2.lightmap.exr",
         ];
         assert_eq!(names(set.folder()), expected);
+    }
+
+    #[test]
+    fn a_failure_at_any_file_keeps_every_old_one() {
+        let dir = tempfile::tempdir().unwrap();
+        let set = OutputSet::new(&dir.path().join("level.glb"), None, None).unwrap();
+        write(&set, 2);
+        let all = || -> Vec<_> {
+            names(set.folder()).into_iter().map(|n| (fs::read(set.folder().join(&n)).unwrap(), n)).collect()
+        };
+        let before = all();
+        let map = Lightmap::new(1, 1, vec![Vec3::ZERO], vec![1.0]).unwrap();
+        let files = Files {
+            lightmaps: &[map],
+            bounds: &[],
+            depth: Depth::Float,
+            key: "k",
+            preview_png: Some(b"new png"),
+            glb: b"new",
+        };
+        let write_until = |last: usize| {
+            let mut count = 0;
+            set.write_by(&files, &mut Report::new(SceneInfo::default()), |file, bytes| {
+                count += 1;
+                io::Write::write_all(file, &bytes[..bytes.len() / 2])?;
+                if count > last { Err(io::Error::other("disk full")) } else { Ok(()) }
+            })
+        };
+        for last in 0..4 {
+            let error = write_until(last).unwrap_err().to_string();
+            assert!(error.contains("disk full") && all() == before, "after {last} files: {error}");
+        }
+        // A folder in the place of the last file is seen before the first file is replaced, too.
+        fs::remove_file(set.report()).unwrap();
+        fs::create_dir(set.report()).unwrap();
+        let error = set.write(&files, &mut Report::new(SceneInfo::default())).unwrap_err().to_string();
+        assert!(error.contains("level.bake.json"), "{error}");
+        fs::remove_dir(set.report()).unwrap();
+        let kept = before.into_iter().filter(|(_, name)| name != "level.bake.json");
+        assert!(all().into_iter().eq(kept));
+        write_until(4).unwrap();
+        assert_eq!(fs::read(set.glb()).unwrap(), b"n");
+    }
+
+    #[test]
+    fn a_bake_without_a_preview_leaves_no_old_one() {
+        let dir = tempfile::tempdir().unwrap();
+        let set = OutputSet::new(&dir.path().join("level.glb"), None, None).unwrap();
+        write(&set, 1);
+        let files =
+            Files { lightmaps: &[], bounds: &[], depth: Depth::Float, key: "k", preview_png: None, glb: b"new" };
+        set.write(&files, &mut Report::new(SceneInfo::default())).unwrap();
+        assert_eq!(names(set.folder()), ["level.bake.json", "level.glb"]);
     }
 
     #[test]

@@ -165,12 +165,14 @@ pub struct EnergyLedger {
     pub state: StageState,
     /// Flux that lamps and emitters sent to surfaces.
     pub emitted: [f64; 3],
-    /// Flux that the sky sent to surfaces.
+    /// Flux that the sky sent to surfaces: what the first sweep brought and let escape, less what surfaces sent into it,
+    /// and not below 0. That sweep's own loss or gain is in it; where the sky reaches next to nothing, it is all of it.
     pub from_sky: [f64; 3],
     pub absorbed: [f64; 3],
     /// Flux that left the scene.
     pub escaped: [f64; 3],
-    /// Flux still under way when propagation stopped, estimated.
+    /// What surfaces reflected of all light, the estimated rest included, less what propagation sent on. A residual
+    /// with a sign: one factor for all bands continues the bounces, so a band to which it gives too much is negative.
     pub remaining: [f64; 3],
     /// What is missing from the balance: the method's own loss.
     pub defect: [f64; 3],

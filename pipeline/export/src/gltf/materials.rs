@@ -9,11 +9,10 @@ use luxel_scene::import::Checked;
 use serde_json::{Value, json};
 
 use super::{
-    bitmap::Bitmap,
-    draft::{Draft, Target, settle_copies},
-    json::{Object, add_extra, declare_extension, item, list_mut, number, object_mut, remove_extension},
-    mismatch,
+    draft::{Draft, settle_copies},
+    json::{Object, add_extra, declare_extension, item, number, object_mut, remove_extension},
     original::Original,
+    pages::{PageTexture, Pages},
     references,
 };
 
@@ -21,58 +20,42 @@ const EXTENSION: &str = "MOZ_lightmap";
 /// The texture coordinate set that holds atlas coordinates.
 pub const SET: usize = 1;
 
-/// A page as materials refer to it.
-pub struct PageTexture {
-    pub bitmap: Bitmap,
-    /// Name of the file with the full range.
-    pub file: String,
-    texture: Option<usize>,
-}
-
-impl PageTexture {
-    pub fn new(bitmap: Bitmap, file: String) -> Self {
-        Self { bitmap, file, texture: None }
-    }
-}
-
 /// Lightmapped copies of materials.
 pub struct Materials {
-    pages: Vec<PageTexture>,
+    pages: Pages,
     /// (material, page, set to which textures of set 1 moved) → position in `copies`.
     known: BTreeMap<(Option<usize>, u32, Option<usize>), usize>,
     copies: Vec<(Option<usize>, Value)>,
     old: usize,
-    sampler: Option<usize>,
 }
 
 impl Materials {
     pub fn new(original: &Original, pages: Vec<PageTexture>) -> Self {
         let old = super::json::list(&original.root, "materials").len();
-        Self { pages, known: BTreeMap::new(), copies: Vec::new(), old, sampler: None }
+        Self { pages: Pages::new(original, pages), known: BTreeMap::new(), copies: Vec::new(), old }
     }
 
     pub fn pages(&self) -> &[PageTexture] {
-        &self.pages
+        &self.pages.list
     }
 
     /// Points a primitive, and its variants, at copies of their materials that carry the lightmap of `page`.
     pub fn apply(
         &mut self,
-        draft: &mut Draft,
         original: &Original,
         primitive: &mut Object,
         page: u32,
         moved: Option<usize>,
     ) -> Checked<()> {
         if !primitive.contains_key("material") {
-            primitive.insert("material".into(), self.copy(draft, original, None, page, moved)?.into());
+            primitive.insert("material".into(), self.copy(original, None, page, moved)?.into());
             return Ok(());
         }
         let mut outcome = Ok(());
         references::primitive_materials(primitive, &mut |reference| {
             let Some(index) = reference.as_u64().and_then(|n| usize::try_from(n).ok()) else { return };
             // Variants are visited after the material, and none of them twice: a provisional index never comes back.
-            match self.copy(draft, original, Some(index), page, moved) {
+            match self.copy(original, Some(index), page, moved) {
                 Ok(copy) => *reference = copy.into(),
                 Err(fault) => outcome = Err(fault),
             }
@@ -82,7 +65,6 @@ impl Materials {
 
     fn copy(
         &mut self,
-        draft: &mut Draft,
         original: &Original,
         material: Option<usize>,
         page: u32,
@@ -100,47 +82,16 @@ impl Materials {
         if let Some(set) = moved {
             move_sets(&mut copy, set);
         }
-        let texture = self.texture(draft, page)?;
-        let intensity = f64::from(self.pages[page as usize].bitmap.intensity);
+        let (texture, intensity) = self.pages.texture(page)?;
         let lightmap = json!({ "index": texture, "texCoord": SET, "intensity": intensity });
         object_mut(&mut copy, "extensions")?.insert(EXTENSION.into(), lightmap);
-        add_extra(&mut copy, "luxel", self.luxel(page));
+        add_extra(&mut copy, "luxel", self.pages.mark(page));
         self.copies.push((material, Value::Object(copy)));
         self.known.insert(key, self.copies.len() - 1);
         Ok(self.old + self.copies.len() - 1)
     }
 
-    fn luxel(&self, page: u32) -> Value {
-        let file = &self.pages[page as usize].file;
-        json!({ "lightmap": file, "page": page, "unit": "lux", "version": env!("CARGO_PKG_VERSION") })
-    }
-
-    /// The texture of a page, added when first asked for.
-    fn texture(&mut self, draft: &mut Draft, page: u32) -> Checked<usize> {
-        let place = || mismatch("atlas", &format!("it has no page {page}"));
-        if let Some(texture) = self.pages.get(page as usize).ok_or_else(place)?.texture {
-            return Ok(texture);
-        }
-        let sampler = match self.sampler {
-            Some(sampler) => sampler,
-            // Linear, no mipmaps (charts would bleed into each other), clamped.
-            None => {
-                let linear = json!({ "magFilter": 9729, "minFilter": 9729, "wrapS": 33071, "wrapT": 33071 });
-                push(draft, "samplers", linear)?
-            }
-        };
-        self.sampler = Some(sampler);
-        let (extra, slot) = (self.luxel(page), &mut self.pages[page as usize]);
-        let view = draft.add_view(slot.bitmap.png.clone(), Target::Other);
-        let name = format!("lightmap {page}");
-        let image = push(draft, "images", json!({ "name": name, "bufferView": view, "mimeType": "image/png" }))?;
-        let texture = json!({ "name": name, "sampler": sampler, "source": image, "extras": { "luxel": extra } });
-        let texture = push(draft, "textures", texture)?;
-        slot.texture = Some(texture);
-        Ok(texture)
-    }
-
-    /// Gives the copies their places.
+    /// Gives the copies and the textures of the pages their places.
     pub fn settle(self, draft: &mut Draft) -> Checked<Vec<PageTexture>> {
         if !self.copies.is_empty() {
             declare_extension(&mut draft.root, EXTENSION)?;
@@ -148,14 +99,8 @@ impl Materials {
         // A stranger that means the old material must not get somebody's lightmap with it.
         let possible = references::possible(&draft.root);
         settle_copies(&mut draft.root, "materials", references::materials, self.copies, possible)?;
-        Ok(self.pages)
+        self.pages.settle(draft)
     }
-}
-
-fn push(draft: &mut Draft, key: &str, value: Value) -> Checked<usize> {
-    let items = list_mut(&mut draft.root, key)?;
-    items.push(value);
-    Ok(items.len() - 1)
 }
 
 /// What a primitive without a material was baked with.

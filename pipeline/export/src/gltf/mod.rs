@@ -9,7 +9,8 @@
 //! | images | embedded | `original` |
 //! | meshes of lightmapped nodes | one copy per node, triangles, TEXCOORD_1 in atlas space | `nodes`, `vertices` |
 //! | EXT_mesh_gpu_instancing | child nodes, where instances are lightmapped | `instances` |
-//! | their materials | one copy per page, with `MOZ_lightmap` | `materials`, `bitmap` |
+//! | their materials | one copy per page, with `MOZ_lightmap` | `materials` |
+//! | textures and images of the pages | added, or in place of an earlier bake's | `pages`, `bitmap` |
 //!
 //! No index of the input changes its meaning: copies take the slot of an original that nothing uses any more, or the
 //! end of the list (`draft`). Of several buffers only the first one's name and extras can survive.
@@ -21,6 +22,7 @@ mod json;
 mod materials;
 mod nodes;
 mod original;
+mod pages;
 mod references;
 #[cfg(test)]
 mod tests;
@@ -32,12 +34,7 @@ use luxel_scene::{Notice, Scene};
 
 pub use original::Original;
 
-use self::{
-    bitmap::Bitmap,
-    draft::Draft,
-    materials::{Materials, PageTexture},
-    nodes::Nodes,
-};
+use self::{bitmap::Bitmap, draft::Draft, materials::Materials, nodes::Nodes, pages::PageTexture};
 use crate::{ExportError, Lightmap};
 
 /// A finished .glb.
@@ -74,7 +71,7 @@ impl Original {
         }
         let mut pages = Vec::new();
         for (map, name) in lightmaps.iter().zip(names) {
-            pages.push(PageTexture::new(Bitmap::new(map)?, name.clone()));
+            pages.push(PageTexture { bitmap: Bitmap::new(map)?, file: name.clone() });
         }
         self.check_unchanged(&scene.inputs)?;
         self.write(scene, atlas, pages).map_err(|fault| fault.in_file(&self.path).into())

@@ -112,7 +112,7 @@ impl<'a> Nodes<'a> {
             let old = source_primitive(self.original, mesh, index)?;
             let moved = new_set(self.original, old)?;
             let mut new = self.vertices.primitive(draft, self.original, (mesh, index), placed, moved)?;
-            self.materials.apply(draft, self.original, &mut new, placed.page, moved)?;
+            self.materials.apply(self.original, &mut new, placed.page, moved)?;
             if let Some(slot) = copy.get_mut("primitives").and_then(|p| p.get_mut(index)) {
                 *slot = Value::Object(new);
             }

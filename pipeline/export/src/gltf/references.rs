@@ -86,6 +86,32 @@ pub fn primitive_materials(primitive: &mut Object, f: &mut dyn FnMut(&mut Value)
     mappings.into_iter().flatten().filter_map(|m| m.get_mut("material")).for_each(f);
 }
 
+/// Calls `f` on everything in a material that may refer to a texture: an integer `index`, wherever it is. The JSON reader
+/// has bounded the depth.
+pub fn textures(root: &mut Object, f: &mut dyn FnMut(&mut Value)) {
+    objects_mut(root, "materials").for_each(|m| indices(m, f));
+}
+
+fn indices(object: &mut Object, f: &mut dyn FnMut(&mut Value)) {
+    for (key, value) in object.iter_mut() {
+        match value {
+            _ if key == "extras" => {}
+            Value::Number(_) if key == "index" => f(value),
+            Value::Object(inner) => indices(inner, f),
+            Value::Array(items) => items.iter_mut().filter_map(Value::as_object_mut).for_each(|o| indices(o, f)),
+            _ => {}
+        }
+    }
+}
+
+/// Calls `f` on every reference of a material to its lightmap.
+pub fn lightmaps(root: &mut Object, f: &mut dyn FnMut(&mut Value)) {
+    for material in objects_mut(root, "materials") {
+        let lightmap = material.get_mut("extensions").and_then(|e| e.get_mut("MOZ_lightmap"));
+        lightmap.and_then(|l| l.get_mut("index")).into_iter().for_each(&mut *f);
+    }
+}
+
 /// Every integer inside an extension that luxel does not know.
 pub fn possible(root: &Object) -> BTreeSet<usize> {
     let mut found = BTreeSet::new();

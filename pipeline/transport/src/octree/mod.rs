@@ -4,11 +4,11 @@
 //! irradiance [lux] as f32 (f16 overflows); every node holds the aggregate of its leaves: power Σ A·B of the light that
 //! leaves them, area, bounding box, cone of normals. Empty space has no nodes, chains of single children are skipped.
 //!
-//! The cache gives back the [`Surfels`] and the [`Solution`] it was made from, bit by bit, so that a stored tree
-//! stands for voxelization and propagation; [`Octree::look_up`] interpolates irradiance at a point, the draft's gather.
+//! It is the form in which this light is stored: the cache gives back the [`Surfels`] and the [`Solution`] it was made
+//! from, bit by bit, so that a stored tree stands for voxelization and propagation. No stage of a bake reads light out
+//! of the tree itself: the gather has structures of its own over what [`Octree::unpack`] returns.
 
 mod codec;
-mod look_up;
 
 use bytemuck::{Pod, Zeroable};
 use glam::{IVec3, Vec3};
@@ -19,7 +19,6 @@ use crate::{
 };
 
 pub use codec::OctreeError;
-pub use look_up::Irradiance;
 
 /// Surfels in a node that is not split further, as a rule; a voxel is never split.
 const LEAF_SIZE: u32 = 8;
