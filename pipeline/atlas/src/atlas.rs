@@ -81,7 +81,7 @@ fn mixed(seed: u64, i: u32, j: u32) -> u64 {
     z ^ (z >> 31)
 }
 
-/// One lightmap texel that lies at least partly on its chart: 24 bytes, because a large atlas has millions of them.
+/// One lightmap texel that lies at least partly on its chart: 28 bytes, because a large atlas has millions of them.
 /// Page and instance are those of its chart; its identity is [`Chart::texel_seed`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Texel {
@@ -94,20 +94,14 @@ pub struct Texel {
     pub u: f32,
     pub v: f32,
     coverage: u16,
-    footprint: u16,
+    footprint: f32,
 }
-
-/// Steps of a texel's footprint per factor of two, and the step of a footprint of 1: from 2⁻³² to 2³² scene units, to
-/// 0.034 %.
-const OCTAVE: f32 = 1024.0;
-const UNIT: f32 = 32_768.0;
 
 impl Texel {
     /// A texel that is still to be given to its chart. `coverage` lies in (0, 1], `footprint` in scene units.
     pub(crate) fn new([x, y]: [u16; 2], triangle: u32, [u, v]: [f32; 2], coverage: f32, footprint: f32) -> Self {
-        let steps = (libm::log2f(footprint) * OCTAVE + UNIT).round();
         let coverage = (coverage.clamp(0.0, 1.0) * f32::from(u16::MAX)).round().max(1.0);
-        Self { x, y, chart: 0, triangle, u, v, coverage: coverage as u16, footprint: steps as u16 }
+        Self { x, y, chart: 0, triangle, u, v, coverage: coverage as u16, footprint }
     }
 
     /// Share of the texel's square that its chart covers, in (0, 1].
@@ -117,6 +111,6 @@ impl Texel {
 
     /// World length of the texel's side, as the square root of its world area [scene units].
     pub fn footprint(&self) -> f32 {
-        libm::exp2f((f32::from(self.footprint) - UNIT) / OCTAVE)
+        self.footprint
     }
 }

@@ -220,16 +220,14 @@ impl<S: Sample> Ray<'_, S> {
                 put_off += 1;
                 continue;
             }
-            if cell.receiver == none {
+            if cell.receiver == none && run.has(cell.emitter) {
                 if planes[cell.emitter as usize] == face.plane {
                     cell.emitter = surfel;
-                    continue;
-                }
-                if run.has(cell.emitter) {
+                } else {
                     late[put_off % CHUNK] = surfel;
                     put_off += 1;
-                    continue;
                 }
+                continue;
             }
             let carries = (cell.emitter != unknown) & (cell.receiver & BLOCKED == 0);
             if !(carries & (heights[k] + face.step > 0.0)) {
@@ -249,13 +247,15 @@ impl<S: Sample> Ray<'_, S> {
         let (keys, heights) = self.lone(&range);
         let planes = &self.copy.planes[..];
         let (cells, from, late) = (&mut table.cells[..], &mut table.from[..keys.len()], &mut table.late);
-        let (first, shift, thin) = (range.start as u32, slice.shift, slice.thin);
+        let (first, shift, run, thin) = (range.start as u32, slice.shift, slice.run, slice.thin);
         let mut put_off = 0;
         for k in 0..keys.len() {
             let cell = &mut cells[(keys[k] + shift) as usize];
             let surfel = first + k as u32;
-            let plane = planes[(cell.receiver & !BLOCKED) as usize];
-            if PARTIAL || plane != face.plane && (plane != NOWHERE || thin.has(cell.emitter)) {
+            let last = cell.receiver & !BLOCKED;
+            let plane = planes[last as usize];
+            let same = plane == face.plane && run.has(last);
+            if PARTIAL || !same && (plane != NOWHERE || thin.has(cell.emitter)) {
                 late[put_off % CHUNK] = surfel;
                 put_off += 1;
                 continue;

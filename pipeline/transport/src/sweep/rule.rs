@@ -15,8 +15,7 @@
 //!   side of a thin wall and takes what the line carried before;
 //! - what no rule can tell is *unknown*: it adds neither light nor weight. Sky is never unknown in an open scene.
 //!
-//! Surfels of one plane are one surface, whatever lies between them; other planes are compared. Lengths are in
-//! voxels.
+//! Surfels of one plane need no plane tests: they would pass them. Lengths are in voxels.
 
 use super::{
     kernel::{BLOCKED, Cell, Face, Ray, Stop, Table, dot},
@@ -69,7 +68,8 @@ impl<S: Sample> Ray<'_, S> {
 
     #[inline(always)]
     fn goes_on(&self, emitter: u32, surfel: u32, face: Face, slice: &Slice) -> bool {
-        self.copy.planes[emitter as usize] == face.plane || slice.run.has(emitter) && self.is_coplanar(emitter, surfel)
+        slice.run.has(emitter)
+            && (self.copy.planes[emitter as usize] == face.plane || self.is_coplanar(emitter, surfel))
     }
 
     fn is_coplanar(&self, emitter: u32, other: u32) -> bool {
@@ -122,7 +122,7 @@ impl<S: Sample> Ray<'_, S> {
     /// Two receivers of a line belong to one surface, or to surfaces that touch without hiding each other.
     #[inline(always)]
     fn shares(&self, last: u32, next: u32, face: Face, slice: &Slice) -> bool {
-        self.copy.planes[last as usize] == face.plane || slice.run.has(last) && !self.is_layered(last, next)
+        slice.run.has(last) && (self.copy.planes[last as usize] == face.plane || !self.is_layered(last, next))
     }
 
     fn is_layered(&self, last: u32, next: u32) -> bool {
