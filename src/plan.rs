@@ -342,7 +342,7 @@ const RAY_TRIANGLE: u64 = 410;
 /// Per surfel: the surfel and its light while it is propagated.
 const SURFEL: u64 = 235;
 /// Per texel: where it is, and its light.
-const TEXEL: u64 = 65;
+const TEXEL: u64 = 61;
 /// Per pixel of a page: the finished images and what the encoders hold.
 const PIXEL: u64 = 42;
 /// The picture and what else does not grow with the scene.

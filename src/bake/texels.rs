@@ -142,7 +142,8 @@ impl<'a> Side<'a> {
         let triangle = self.geometry.triangle(chart.instance, t.triangle);
         let footprint = self.geometry.frame.length(f64::from(t.footprint()));
         let seed = chart.texel_seed(t.x, t.y);
-        let front = Receiver::on_triangle(self.geometry, triangle, t.u, t.v, footprint, seed);
+        let [u, v] = t.barycentric();
+        let front = Receiver::on_triangle(self.geometry, triangle, u, v, footprint, seed);
         if !self.back {
             return front;
         }

@@ -73,7 +73,8 @@ pub fn position(scene: &Scene, lit: &Lit, texel: usize) -> DVec3 {
     let t = &lit.atlas.texels[texel];
     let instance = &scene.instances[lit.atlas.chart(t).instance as usize];
     let [a, b, c] = scene.corners(instance.mesh, t.triangle as usize);
-    instance.transform.transform_point3((a + (b - a) * t.u + (c - a) * t.v).as_dvec3())
+    let [u, v] = t.barycentric();
+    instance.transform.transform_point3((a + (b - a) * u + (c - a) * v).as_dvec3())
 }
 
 /// A texel as a receiver, at its own point.
@@ -81,14 +82,9 @@ fn receiver(geometry: &Geometry, lit: &Lit, texel: usize) -> Receiver {
     let t = &lit.atlas.texels[texel];
     let triangle = geometry.triangle(lit.atlas.chart(t).instance, t.triangle);
     let footprint = geometry.frame.length(f64::from(t.footprint()));
-    Receiver::on_triangle(
-        geometry,
-        triangle,
-        t.u,
-        t.v,
-        footprint,
-        lit.atlas.charts[t.chart as usize].texel_seed(t.x, t.y),
-    )
+    let seed = lit.atlas.charts[t.chart as usize].texel_seed(t.x, t.y);
+    let [u, v] = t.barycentric();
+    Receiver::on_triangle(geometry, triangle, u, v, footprint, seed)
 }
 
 /// Reference irradiance at texels, each with its own standard error.
@@ -179,7 +175,8 @@ pub fn areas(lit: &Lit, texels: &[usize]) -> Vec<f64> {
 pub fn score_copies(a: &Lit, b: &Lit, texels: &[usize]) -> Score {
     let at = |lit: &Lit, i: usize| {
         let t = &a.atlas.texels[i];
-        value_at(lit, lit.atlas.chart(t).instance, t.triangle, t.u, t.v)
+        let [u, v] = t.barycentric();
+        value_at(lit, lit.atlas.chart(t).instance, t.triangle, u, v)
     };
     let truth: Vec<Vec3> = texels.iter().map(|&i| at(a, i)).collect();
     let values: Vec<Vec3> = texels.iter().map(|&i| at(b, i)).collect();

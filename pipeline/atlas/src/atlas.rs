@@ -81,27 +81,43 @@ fn mixed(seed: u64, i: u32, j: u32) -> u64 {
     z ^ (z >> 31)
 }
 
-/// One lightmap texel that lies at least partly on its chart: 28 bytes, because a large atlas has millions of them.
+/// One lightmap texel that lies at least partly on its chart: 24 bytes, because a large atlas has millions of them.
 /// Page and instance are those of its chart; its identity is [`Chart::texel_seed`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Texel {
     pub x: u16,
     pub y: u16,
     pub chart: u32,
-    /// Triangle of the instance's mesh that holds the sample point, and barycentric coordinates of its second and
-    /// third corner. The point is the texel's centre, or the nearest point of the chart where the centre lies outside.
+    /// Triangle of the instance's mesh that holds the sample point.
     pub triangle: u32,
-    pub u: f32,
-    pub v: f32,
+    /// In 2⁻²⁴, the step of the f32 below one, low byte first.
+    barycentric: [[u8; 3]; 2],
     coverage: u16,
     footprint: f32,
 }
+
+/// Steps of a barycentric coordinate from 0 to 1.
+const STEPS: f32 = 16_777_216.0;
 
 impl Texel {
     /// A texel that is still to be given to its chart. `coverage` lies in (0, 1], `footprint` in scene units.
     pub(crate) fn new([x, y]: [u16; 2], triangle: u32, [u, v]: [f32; 2], coverage: f32, footprint: f32) -> Self {
         let coverage = (coverage.clamp(0.0, 1.0) * f32::from(u16::MAX)).round().max(1.0);
-        Self { x, y, chart: 0, triangle, u, v, coverage: coverage as u16, footprint }
+        // Exact but for the last bits of coordinates below one half; their sum stays at most 1.
+        let u_steps = ((u * STEPS) as u32).min(STEPS as u32 - 1);
+        let v_steps = ((v * STEPS) as u32).min(STEPS as u32 - 1).min(STEPS as u32 - u_steps);
+        let barycentric = [u_steps, v_steps].map(|steps| {
+            let [low, middle, high, _] = steps.to_le_bytes();
+            [low, middle, high]
+        });
+        Self { x, y, chart: 0, triangle, barycentric, coverage: coverage as u16, footprint }
+    }
+
+    /// Barycentric coordinates of the sample point at the second and third corner of its triangle, each in \[0, 1)
+    /// and together at most 1. The point is the texel's centre, or the nearest point of the chart where the centre
+    /// lies outside.
+    pub fn barycentric(&self) -> [f32; 2] {
+        self.barycentric.map(|[low, middle, high]| u32::from_le_bytes([low, middle, high, 0]) as f32 / STEPS)
     }
 
     /// Share of the texel's square that its chart covers, in (0, 1].

@@ -254,7 +254,8 @@ mod tests {
                 found.iter().map(|(_, f)| f64::from(f.coverage()) * f64::from(f.footprint()).powi(2)).sum();
             prop_assert!((world / 8.0 - 1.0).abs() < 1e-4 + rounding / exact, "{world}");
             for (_, f) in &found {
-                prop_assert!(f.u >= 0.0 && f.v >= 0.0 && f.u + f.v <= 1.0);
+                let [u, v] = f.barycentric();
+                prop_assert!(u >= 0.0 && v >= 0.0 && u + v <= 1.0);
             }
         }
     }
@@ -266,7 +267,8 @@ mod tests {
         for turn in 0..4 {
             let place = place(9, 6, turn);
             for (_, t) in texels(&block, &place) {
-                let w = [1.0 - f64::from(t.u) - f64::from(t.v), t.u.into(), t.v.into()];
+                let [u, v] = t.barycentric().map(f64::from);
+                let w = [1.0 - u - v, u, v];
                 let at = placed(w[0] * uv[0] + w[1] * uv[1] + w[2] * uv[2], &place);
                 assert!(
                     (at - DVec2::new(f64::from(t.x) + 0.5, f64::from(t.y) + 0.5)).abs().max_element() <= 0.5 + 1e-5
@@ -287,7 +289,7 @@ mod tests {
             let chart = Chart { instance: 0, page: 0, x, y, width, height, turn, first_texel: 0, texels: 0, seed };
             let mut s: Vec<_> = texels(&block, &place)
                 .iter()
-                .map(|(_, t)| ([t.u.to_bits(), t.v.to_bits()], chart.texel_seed(t.x, t.y)))
+                .map(|(_, t)| (t.barycentric().map(f32::to_bits), chart.texel_seed(t.x, t.y)))
                 .collect();
             s.sort_unstable();
             s

@@ -35,7 +35,8 @@ fn check(scene: &Scene, atlas: &Atlas, padding: i64) {
             assert!((chart.x..chart.x + chart.width).contains(&t.x.into()));
             assert!((chart.y..chart.y + chart.height).contains(&t.y.into()));
             assert!(t.coverage() > 0.0 && t.coverage() <= 1.0 && t.footprint() > 0.0 && t.footprint().is_finite());
-            assert!(t.u >= 0.0 && t.v >= 0.0 && t.u + t.v <= 1.0);
+            let [u, v] = t.barycentric();
+            assert!(u >= 0.0 && v >= 0.0 && u + v <= 1.0);
             assert!(owner.insert((chart.page, t.x, t.y), t.chart).is_none(), "a texel is taken twice");
         }
     }
@@ -59,7 +60,8 @@ fn check(scene: &Scene, atlas: &Atlas, padding: i64) {
         // The stored point, taken through the UVs, lies in the texel's square (and at its centre if it is whole).
         let side = f64::from(atlas.pages[atlas.chart(t).page as usize].width);
         let [a, b, c] = corners.map(|c| placed.uvs[c as usize].as_dvec2() * side);
-        let at = a + f64::from(t.u) * (b - a) + f64::from(t.v) * (c - a);
+        let [u, v] = t.barycentric().map(f64::from);
+        let at = a + u * (b - a) + v * (c - a);
         let off = (at - DVec2::new(f64::from(t.x) + 0.5, f64::from(t.y) + 0.5)).abs().max_element();
         let limit = if t.coverage() >= 1.0 { 2e-3 } else { 0.502 };
         assert!(off <= limit, "{off} at {t:?}");

@@ -38,7 +38,8 @@ fn cylinder(around: u32) -> Scene {
 fn points(scene: &Scene, atlas: &Atlas) -> Vec<Vec3> {
     let at = |t: &luxel_atlas::Texel| {
         let [a, b, c] = scene.corners(scene.instances[atlas.chart(t).instance as usize].mesh, t.triangle as usize);
-        a + t.u * (b - a) + t.v * (c - a)
+        let [u, v] = t.barycentric();
+        a + u * (b - a) + v * (c - a)
     };
     atlas.texels.iter().map(at).collect()
 }
