@@ -11,6 +11,7 @@ mod meter;
 mod rates;
 #[path = "../support/mod.rs"]
 mod support;
+mod yardstick;
 
 #[global_allocator]
 static ALLOCATOR: meter::Counting = meter::Counting;

@@ -15,7 +15,11 @@ use luxel_transport::{
     sweep::{Rule, Sweep},
 };
 
-use crate::{Goal, meter, row, support::tilted};
+use crate::{
+    Goal, meter, row,
+    support::tilted,
+    yardstick::{self, Yardstick},
+};
 
 /// Runs of everything that is timed; the median counts.
 const RUNS: usize = 5;
@@ -32,6 +36,9 @@ pub fn measure() {
     let at_128 = Subject::new(&cornell, Resolution::Side(128));
     let discrete = at_128.discrete(Rule::Surface, DIRECTIONS, false);
     row("discrete rays/s of a core, Cornell n = 128", discrete / 1e6, "M rays/s", least(300.0, 1000.0));
+    let yardstick = at_128.yardstick();
+    row("  yardstick: the literal exchange alone", yardstick / 1e6, "M rays/s", Goal::Information);
+    row("  the same as a share of the yardstick", discrete / yardstick, "", least(300e6 / yardstick::THERE, 0.65));
     row("  surfels", at_128.count() as f64 / 1e3, "k", Goal::Information);
     row("  one band", at_128.discrete(Rule::Surface, DIRECTIONS, true) / 1e6, "M rays/s", Goal::Information);
     row("  literal rule", at_128.discrete(Rule::Literal, DIRECTIONS, false) / 1e6, "M rays/s", Goal::Information);
@@ -124,6 +131,16 @@ impl<'a> Subject<'a> {
         let sweep = Sweep::new(&self.surfels, rule, false);
         let seconds = pool(1).install(|| runs(|| self.sweep_seconds(&sweep, &directions, grey)));
         (self.count() * directions.len()) as f64 / seconds
+    }
+
+    /// Discrete rays a second of the literal exchange alone.
+    fn yardstick(&self) -> f64 {
+        let mut yardstick = Yardstick::new(&self.surfels);
+        let mut directions = DirectionSet::Fibonacci.directions(DIRECTIONS, 0);
+        directions.retain(|d| d.sigma.abs().max_element() == d.sigma.x.abs());
+        let mut table = Vec::new();
+        let seconds = runs(|| meter::thread_seconds(|| yardstick.sweep(&directions, &mut table)));
+        yardstick.rays(&directions) / seconds
     }
 
     /// Discrete over continuous rays (incoherent closest hits), timed in turns.
