@@ -50,11 +50,11 @@ pub fn measure() {
     row("discrete rays/s of a core, Cornell N = 1.7 M", fine / 1e6, "M rays/s", least(120.0, 400.0));
     drop(at_512);
 
-    row("discrete / continuous rays, Cornell", at_128.against_continuous(DIRECTIONS), "", least(60.0, 200.0));
+    row("discrete / continuous rays, Cornell", at_128.against_continuous(), "", least(60.0, 200.0));
     let hall = hall_of_balls();
     let dense = Subject::new(&hall, Resolution::Budget(100_000));
     let triangles = dense.geometry.triangles.len() as f64 / 1e3;
-    row("discrete / continuous rays, 60k triangles", dense.against_continuous(DIRECTIONS), "", least(100.0, 200.0));
+    row("discrete / continuous rays, 60k triangles", dense.against_continuous(), "", least(100.0, 200.0));
     row("  triangles", triangles, "k", Goal::Information);
     row("  discrete rays/s", dense.discrete(Rule::Surface, DIRECTIONS, false) / 1e6, "M rays/s", Goal::Information);
 
@@ -62,12 +62,7 @@ pub fn measure() {
     if let Some(path) = crate::support::scenes().map(|p| p.join("sponza/sponza_dabrovic_area_light.glb")) {
         let scene = luxel_scene::import::load(&path, &luxel_scene::ImportOptions::default()).expect("the scene reads");
         let sponza = Subject::new(&scene, Resolution::Budget(100_000));
-        row(
-            "discrete / continuous rays, Sponza, 66k triangles",
-            sponza.against_continuous(DIRECTIONS),
-            "",
-            least(100.0, 200.0),
-        );
+        row("discrete / continuous rays, Sponza, 66k triangles", sponza.against_continuous(), "", least(100.0, 200.0));
         row(
             "  discrete rays/s",
             sponza.discrete(Rule::Surface, DIRECTIONS, false) / 1e6,
@@ -144,10 +139,10 @@ impl<'a> Subject<'a> {
     }
 
     /// Discrete over continuous rays (incoherent closest hits), timed in turns.
-    fn against_continuous(&self, directions: u32) -> f64 {
+    fn against_continuous(&self) -> f64 {
         let rays = Rays::new(&self.geometry);
         let starts: Vec<(Vec3, Vec3)> = (0..RAYS).map(|k| self.start(k)).collect();
-        let directions = DirectionSet::Fibonacci.directions(directions, 0);
+        let directions = DirectionSet::Fibonacci.directions(DIRECTIONS, 0);
         let sweep = Sweep::new(&self.surfels, Rule::Surface, false);
         let ratio = || {
             let seconds = meter::thread_seconds(|| {
@@ -165,9 +160,9 @@ impl<'a> Subject<'a> {
     /// A cosine-distributed ray from a random surfel.
     fn start(&self, k: u64) -> (Vec3, Vec3) {
         let s = &self.surfels.list[(sampling::mix(k) % self.count() as u64) as usize];
-        let t = &self.geometry.triangles[s.triangle as usize];
+        let (point, normal) = s.place(&self.geometry);
         let direction = sampling::cosine_hemisphere(sampling::unit2(sampling::mix(!k)));
-        (t.at(s.u(), s.v()) + t.normal * OFFSET, sampling::basis(t.normal) * direction)
+        (point + normal * OFFSET, sampling::basis(normal) * direction)
     }
 
     fn solve_seconds(&self) -> f64 {
@@ -183,7 +178,7 @@ impl<'a> Subject<'a> {
 
     /// The best of several runs on each side: a machine that does something else can only make a run slower.
     fn two_threads(&self) -> f64 {
-        let directions = DirectionSet::Fibonacci.directions(512, 0);
+        let directions = DirectionSet::Fibonacci.directions(DIRECTIONS, 0);
         let sweep = Sweep::new(&self.surfels, Rule::Surface, false);
         let light = vec![Rgb::ONE; self.count()];
         let (one, two) = (pool(1), pool(2));

@@ -1,14 +1,14 @@
 //! How fast this machine is at discrete rays as such: the paper's literal exchange (Piwowar & Malgouyres 2009, §2) in
 //! its leanest form, on the same surfels. One sweep serves both senses of a direction, and nothing keeps the rule from
 //! losing light, so it bounds from above what a correct rule can reach. The goals on discrete rays were set where it
-//! ran at [`THERE`] (`design.md` and its measurements, A1: 0.65 ns a ray at 104k surfels).
+//! ran at [`THERE`].
 
 use std::hint::black_box;
 
 use glam::{Vec3, Vec4};
 use luxel_transport::{directions::Direction, surfel::Surfels};
 
-/// Rays a second of this kernel on the machine on which the goals were set.
+/// Rays a second of this kernel on the machine on which the goals were set: 0.65 ns a ray at 104k surfels.
 pub const THERE: f64 = 1.0 / 0.65e-9;
 
 /// The line has met no emitter.

@@ -7,9 +7,9 @@
 //! reflected last and not propagated any more. That is a residual with a sign: the tail continues all bands by one
 //! factor, so a band that was dying away faster is given more than it sent, and its `in flight` is below 0. The sweep
 //! adds the sky's light to that of surfels in one sum, so `sky` is known by the balance of the first sweep only (cut
-//! off at 0): that sweep's own imbalance is in it, and is all of it where no surfel sees the sky. A gather that divides by known weight is not exactly symmetric; what
-//! it gains or loses is the `imbalance`. All are fluxes: irradiance [lux] × area, in lumens once the areas are in
-//! squared metres ([`Ledger::scaled`]).
+//! off at 0): that sweep's own imbalance is in it, and is all of it where no surfel sees the sky. A gather that divides
+//! by known weight is not exactly symmetric; what it gains or loses is the `imbalance`. All are fluxes:
+//! irradiance [lux] × area, in lumens once the areas are in squared metres ([`Ledger::scaled`]).
 
 use glam::DVec3;
 

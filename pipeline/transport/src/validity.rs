@@ -8,7 +8,6 @@
 //! it. Veils and holes are looked through: what stands behind glass is not buried.
 
 use glam::{Vec2, Vec3};
-use rayon::prelude::*;
 
 use crate::{
     gather::Receiver,
@@ -33,11 +32,6 @@ const PLACES: u32 = 8;
 const WORTH: usize = 4;
 /// How far above their surface places look for each other, and places on it are looked for, as a share of the footprint.
 const LIFT: f32 = 0.1;
-
-/// For every receiver, whether it is buried.
-pub fn buried(rays: &Rays, receivers: &[Receiver]) -> Vec<bool> {
-    receivers.par_iter().map(|receiver| is_buried(rays, receiver)).collect()
-}
 
 /// Whether a receiver is inside geometry or in contact with something that covers it. One without a normal, as on a
 /// degenerate triangle, is.
@@ -79,12 +73,6 @@ fn first_solid(rays: &Rays, origin: Vec3, direction: Vec3, max: f32) -> Option<H
         }
     });
     first
-}
-
-/// A receiver that is not buried: the given one, or one of a few places within its footprint on the same surface, moved
-/// along it: the nearest on the side where the most of them are free. None where all of them are buried.
-pub fn unocclude(rays: &Rays, receiver: &Receiver) -> Option<Receiver> {
-    if is_buried(rays, receiver) { sides(rays, receiver).larger } else { Some(*receiver) }
 }
 
 /// The sides of what buries a receiver, each with the nearest free place of its footprint there.
@@ -177,6 +165,11 @@ mod tests {
 
     const TEXEL: f64 = 0.05;
 
+    /// The receiver itself, or the nearest free place on its larger side.
+    fn unocclude(rays: &Rays, receiver: &Receiver) -> Option<Receiver> {
+        if is_buried(rays, receiver) { sides(rays, receiver).larger } else { Some(*receiver) }
+    }
+
     /// A texel of the floor at (x, z).
     fn texel(geometry: &Geometry, x: f64, z: f64) -> Receiver {
         Receiver {
@@ -191,7 +184,7 @@ mod tests {
     fn verdicts(scene: &Scene, places: &[(f64, f64)]) -> Vec<bool> {
         let geometry = Geometry::new(scene);
         let rays = Rays::new(&geometry);
-        buried(&rays, &places.iter().map(|&(x, z)| texel(&geometry, x, z)).collect::<Vec<_>>())
+        places.iter().map(|&(x, z)| is_buried(&rays, &texel(&geometry, x, z))).collect()
     }
 
     #[test]
@@ -247,7 +240,7 @@ mod tests {
         let rays = Rays::new(&geometry);
         let front = texel(&geometry, 0.1, 0.2);
         let back = Receiver { normal: -Vec3::Y, shading_normal: -Vec3::Y, ..front };
-        assert_eq!(buried(&rays, &[front, back]), [false; 2]);
+        assert!(!is_buried(&rays, &front) && !is_buried(&rays, &back));
     }
 
     #[test]

@@ -52,7 +52,7 @@ fn a_furnace_is_constant_at_every_texel_in_every_mode() {
             |field, geometry, surfels| {
                 let receivers = receivers(geometry, surfels, 1);
                 let cuts = Lightcuts::new(field, Default::default());
-                assert!(cuts.closed());
+                assert!(cuts.covered());
                 for g in run(&cuts, &receivers).iter().chain(&run(&FinalGather::new(field, 64), &receivers)) {
                     assert!((g.irradiance - 5.0).abs().max_element() < 0.005 * 5.0, "{}", g.irradiance);
                 }
@@ -120,7 +120,7 @@ fn a_parallel_plate_gives_its_exact_form_factor() {
     let plate = [Vec3::new(-0.8, 0.5, -0.6), Vec3::X * 1.2, Vec3::Z];
     over_floor(plate, false, &[(0.3, 0.4), (0.1, 0.2), (0.05, 0.9), (0.33, 0.6)], |field, receivers, exact| {
         let cuts = Lightcuts::new(field, lightcuts::Settings::default());
-        assert!(!cuts.closed());
+        assert!(!cuts.covered());
         let full = run(&Lightcuts::new(field, all_lights()), receivers);
         let rays = run(&FinalGather::new(field, 4096), receivers);
         for (i, g) in run(&cuts, receivers).iter().enumerate() {

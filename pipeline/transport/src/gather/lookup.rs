@@ -104,10 +104,9 @@ impl<'a> Lookup<'a> {
 
     fn sees(&self, receiver: &Receiver, i: usize) -> bool {
         let surfel = &self.field.surfels.list[i];
-        let triangle = &self.field.rays.geometry.triangles[surfel.triangle as usize];
-        let side = if surfel.back() { -triangle.normal } else { triangle.normal };
+        let (point, side) = surfel.place(self.field.rays.geometry);
         let from = receiver.position + receiver.normal * OFFSET;
-        let d = triangle.at(surfel.u(), surfel.v()) + side * OFFSET - from;
+        let d = point + side * OFFSET - from;
         let length = d.length();
         length <= OFFSET || self.field.rays.transmittance(from, d / length, length).max_element() > 0.0
     }

@@ -75,8 +75,8 @@ pub fn interpolate(
         patches = nodes.settle(&charts, patches, settings.refine, &mut settled);
     }
     nodes.smooth(&charts, settings);
-    for patch in &settled {
-        nodes.fill(&charts[patch.chart as usize], patch);
+    for (patch, corners) in &settled {
+        nodes.fill(&charts[patch.chart as usize], patch, *corners);
     }
     gathered += nodes.gather_rest(gather, progress)?;
     progress.advance((receivers.len() - gathered) as u64);
@@ -176,12 +176,18 @@ impl Nodes<'_> {
     }
 
     /// Puts the patches that may be interpolated aside and halves the others.
-    fn settle(&self, charts: &[Grid], patches: Vec<Patch>, refine: f32, settled: &mut Vec<Patch>) -> Vec<Patch> {
+    fn settle(
+        &self,
+        charts: &[Grid],
+        patches: Vec<Patch>,
+        refine: f32,
+        settled: &mut Vec<(Patch, [usize; 4])>,
+    ) -> Vec<Patch> {
         let mut next = Vec::new();
         for patch in patches {
-            match self.is_smooth(&charts[patch.chart as usize], &patch, refine) {
-                Some(true) => settled.push(patch),
-                _ => next.extend(halves(&patch)),
+            match self.smooth_corners(&charts[patch.chart as usize], &patch, refine) {
+                Some(corners) => settled.push((patch, corners)),
+                None => next.extend(halves(&patch)),
             }
         }
         next
@@ -219,8 +225,8 @@ impl Nodes<'_> {
         a.normal.dot(b.normal) >= SMOOTH && a.position.distance(b.position) <= reach
     }
 
-    /// Whether a patch may be interpolated; none where it lacks a corner.
-    fn is_smooth(&self, grid: &Grid, patch: &Patch, refine: f32) -> Option<bool> {
+    /// The corners of a patch that may be interpolated.
+    fn smooth_corners(&self, grid: &Grid, patch: &Patch, refine: f32) -> Option<[usize; 4]> {
         let corners = grid.whole(patch)?;
         let light = corners.map(|i| self.light[i].irradiance);
         let (low, high) = (light.into_iter().reduce(|a, b| a.min(b))?, light.into_iter().reduce(|a, b| a.max(b))?);
@@ -231,12 +237,11 @@ impl Nodes<'_> {
             && self.joined(a, c, height)
             && self.joined(b, d, height);
         let alike = (high - low).max_element() <= refine * high.element_sum() / 3.0;
-        Some(whole && alike)
+        (whole && alike).then_some(corners)
     }
 
     /// Bilinear interpolation of all texels of a patch that are no nodes.
-    fn fill(&mut self, grid: &Grid, patch: &Patch) {
-        let Some(corners) = grid.whole(patch) else { return };
+    fn fill(&mut self, grid: &Grid, patch: &Patch, corners: [usize; 4]) {
         let [a, b, c, d] = corners.map(|i| self.light[i]);
         let share = |v: u32, (v0, v1): (u32, u32)| if v1 > v0 { (v - v0) as f32 / (v1 - v0) as f32 } else { 0.0 };
         let light = [a, b, c, d].map(|g| g.irradiance);

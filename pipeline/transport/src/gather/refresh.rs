@@ -40,13 +40,6 @@ pub fn refresh(
 
 /// The surfel's representative point as a receiver.
 pub(super) fn surfel_receiver(field: &Field, surfel: &Surfel) -> Receiver {
-    let triangle = &field.rays.geometry.triangles[surfel.triangle as usize];
-    let normal = if surfel.back() { -triangle.normal } else { triangle.normal };
-    Receiver {
-        position: triangle.at(surfel.u(), surfel.v()),
-        normal,
-        shading_normal: normal,
-        footprint: surfel.area.sqrt(),
-        seed: identity(surfel),
-    }
+    let (position, normal) = surfel.place(field.rays.geometry);
+    Receiver { position, normal, shading_normal: normal, footprint: surfel.area.sqrt(), seed: identity(surfel) }
 }

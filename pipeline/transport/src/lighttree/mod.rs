@@ -110,13 +110,12 @@ impl LightTree {
     /// The tree over all surfels that have an area. The solution has a value for each of them.
     pub fn indirect(geometry: &Geometry, surfels: &Surfels, solution: &Solution, ambient: f32) -> Self {
         let light = |s: &Surfel, e: Rgb| {
-            let triangle = &geometry.triangles[s.triangle as usize];
-            let side = if s.back() { -triangle.normal } else { triangle.normal };
+            let (point, side) = s.place(geometry);
             let area = s.area / std::f32::consts::PI;
             Light {
                 position: s.centroid,
                 normal: s.normal,
-                target: triangle.at(s.u(), s.v()) + side * OFFSET,
+                target: point + side * OFFSET,
                 intensity: s.albedo() * e * area,
                 area,
             }
@@ -164,9 +163,12 @@ impl LightTree {
 /// Number of variants of a tree.
 pub const VARIANTS: usize = 8;
 
+/// Mixed into a receiver's seed, so that its variant has nothing to do with its rays.
+const VARIANT: u64 = 0x7a31;
+
 /// The variant of a tree that a receiver with this seed sees.
 pub fn variant(seed: u64) -> usize {
-    (mix(seed ^ 0x7a31) % VARIANTS as u64) as usize
+    (mix(seed ^ VARIANT) % VARIANTS as u64) as usize
 }
 
 /// A light's share in the choice of representatives, before it is divided by the sum: I + β·A, band mean.

@@ -11,11 +11,11 @@
 mod codec;
 
 use bytemuck::{Pod, Zeroable};
-use glam::{IVec3, Vec3};
+use glam::Vec3;
 
 use crate::{
     Rgb,
-    surfel::{Emission, Grid, Solution, Surfel, Surfels},
+    surfel::{Emission, Grid, Solution, Surfel, Surfels, morton},
 };
 
 pub use codec::OctreeError;
@@ -114,20 +114,8 @@ impl Octree {
     }
 }
 
-/// Interleaves the bits of a voxel's coordinates: the path from the root, three bits a level.
-fn morton(voxel: IVec3) -> u64 {
-    let spread = |v: i32| {
-        let mut x = v as u64 & 0x1f_ffff;
-        x = (x | x << 32) & 0x1f_0000_0000_ffff;
-        x = (x | x << 16) & 0x1f_0000_ff00_00ff;
-        x = (x | x << 8) & 0x100f_00f0_0f00_f00f;
-        x = (x | x << 4) & 0x10c3_0c30_c30c_30c3;
-        (x | x << 2) & 0x1249_2492_4924_9249
-    };
-    spread(voxel.x) << 2 | spread(voxel.y) << 1 | spread(voxel.z)
-}
-
-/// Nodes over surfels sorted by Morton code, breadth first so that the children of a node are neighbours. Aggregates are empty.
+/// Nodes over surfels sorted by Morton code, breadth first so that the children of a node are neighbours. Aggregates
+/// are empty.
 fn structure(codes: &[(u64, u32)]) -> Vec<Node> {
     let empty = |first: usize, count: usize| Node { first: first as u32, count: count as u32, ..Node::zeroed() };
     let mut nodes = if codes.is_empty() { Vec::new() } else { vec![empty(0, codes.len())] };

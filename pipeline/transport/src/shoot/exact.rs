@@ -14,7 +14,7 @@ use crate::{
     geometry::Geometry,
     lighttree::identity,
     sampling::{basis, combine},
-    surfel::{Grid, Surfel, Surfels},
+    surfel::{Grid, Surfel, Surfels, morton},
 };
 
 /// Receivers gathered at a time, so that memory stays small beside the surfels.
@@ -56,23 +56,16 @@ fn by_place(surfels: &Surfels) -> Vec<u32> {
         let surfel = &surfels.list[*i as usize];
         let axis = surfel.normal.abs().max_position() as u64;
         let sense = u64::from(surfel.normal[axis as usize] < 0.0);
-        let [x, y, z] = surfel.voxel().to_array().map(|c| spread(c as u64));
-        ((2 * axis + sense) << 60) | (x << 2) | (y << 1) | z
+        (2 * axis + sense, morton(surfel.voxel()))
     };
     let mut order: Vec<u32> = (0..surfels.list.len() as u32).collect();
     order.sort_by_cached_key(key);
     order
 }
 
-/// Puts two zero bits between the lowest 19 bits of a coordinate.
-fn spread(c: u64) -> u64 {
-    (0..19).map(|bit| (c >> bit & 1) << (3 * bit)).sum()
-}
-
 /// The surfel's own point, and its neighbours where they lie on the same triangle and in the same voxel.
 fn push_receivers(geometry: &Geometry, grid: &Grid, surfel: &Surfel, points: u32, out: &mut Vec<Receiver>) {
-    let triangle = &geometry.triangles[surfel.triangle as usize];
-    let normal = if surfel.back() { -triangle.normal } else { triangle.normal };
+    let (center, normal) = surfel.place(geometry);
     let at = |position: Vec3, i: u64| Receiver {
         position,
         normal,
@@ -81,17 +74,17 @@ fn push_receivers(geometry: &Geometry, grid: &Grid, surfel: &Surfel, points: u32
         // The surfel's own identity: an edit of another mesh, which renumbers triangles, changes nobody's noise.
         seed: combine(identity(surfel), i),
     };
-    let center = triangle.at(surfel.u(), surfel.v());
     out.push(at(center, 0));
     if points < 2 {
         return;
     }
+    let corners = geometry.triangles[surfel.triangle as usize].corners;
     let axes = basis(normal);
     let step = 0.3 * grid.edge;
     for (i, (x, y)) in [(1.0, 0.4), (-0.4, 1.0), (-1.0, -0.4), (0.4, -1.0)].into_iter().enumerate() {
         let p = center + (axes.x_axis * x + axes.y_axis * y) * step;
         let voxel = ((p - grid.origin) / grid.edge).floor().as_ivec3();
-        if voxel == surfel.voxel() && contains(triangle.corners, p) {
+        if voxel == surfel.voxel() && contains(corners, p) {
             out.push(at(p, i as u64 + 1));
         }
     }

@@ -19,11 +19,10 @@ pub fn is_closed(rays: &Rays, surfels: &Surfels, probes: u32) -> bool {
     let geometry = rays.geometry;
     (0..probes).into_par_iter().all(|k| {
         let s = &surfels.list[(u64::from(k) * count / u64::from(probes)) as usize];
-        let t = &geometry.triangles[s.triangle as usize];
-        let normal = if s.back() { -t.normal } else { t.normal };
+        let (point, normal) = s.place(geometry);
         let hash = sampling::combine(0xc105_ed00, u64::from(k));
         let direction = sampling::basis(normal) * sampling::cosine_hemisphere(sampling::unit2(hash));
-        let hit = rays.closest(t.at(s.u(), s.v()) + normal * OFFSET, direction, f32::INFINITY);
+        let hit = rays.closest(point + normal * OFFSET, direction, f32::INFINITY);
         hit.is_some_and(|hit| {
             let front = !hit.back || geometry.material(hit.triangle).double_sided;
             let opaque = geometry.material(hit.triangle).is_opaque()

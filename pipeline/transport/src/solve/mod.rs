@@ -181,7 +181,7 @@ pub fn solve(
     if settings.emit_in_sweep {
         bounces.add_emission(direct.to_mut())?;
     }
-    let dark = bounces.radiosity(&direct).iter().all(|b| *b == Rgb::ZERO);
+    let dark = surfels.list.iter().zip(direct.iter()).all(|(s, e)| s.albedo() * *e == Rgb::ZERO);
     let mut global_cache = vec![Rgb::ZERO; surfels.list.len()];
     if !dark || sky.is_some() {
         bounces.report.bands = if grey { 1 } else { 3 };

@@ -133,12 +133,6 @@ impl Surfels {
         Self { grid, list, emission: Vec::new() }
     }
 
-    /// The radiance Lₑ [cd/m²] that a surfel emits.
-    pub fn emission(&self, surfel: usize) -> Rgb {
-        let found = self.emission.binary_search_by_key(&surfel, |e| e.surfel as usize);
-        found.ok().and_then(|at| self.emission.get(at)).map_or(Rgb::ZERO, |e| e.radiance)
-    }
-
     /// The surfels of a voxel, as a range of [`Surfels::list`].
     pub fn in_voxel(&self, voxel: IVec3) -> std::ops::Range<usize> {
         let key = voxel.to_array();
@@ -165,6 +159,20 @@ impl Surfels {
     pub fn area(&self) -> f64 {
         self.list.iter().map(|s| f64::from(s.area)).sum()
     }
+}
+
+/// Interleaves the bits of a voxel's coordinates: its place on the Z-order curve, and its path in an
+/// octree from the root, three bits a level.
+pub fn morton(voxel: IVec3) -> u64 {
+    let spread = |v: i32| {
+        let mut x = v as u64 & 0x1f_ffff;
+        x = (x | x << 32) & 0x1f_0000_0000_ffff;
+        x = (x | x << 16) & 0x1f_0000_ff00_00ff;
+        x = (x | x << 8) & 0x100f_00f0_0f00_f00f;
+        x = (x | x << 4) & 0x10c3_0c30_c30c_30c3;
+        (x | x << 2) & 0x1249_2492_4924_9249
+    };
+    spread(voxel.x) << 2 | spread(voxel.y) << 1 | spread(voxel.z)
 }
 
 #[cfg(test)]

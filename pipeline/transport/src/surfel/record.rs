@@ -17,7 +17,7 @@ use bytemuck::{Pod, Zeroable};
 use glam::{IVec3, Vec3};
 use luxel_scene::material::MAX_ALBEDO;
 
-use crate::Rgb;
+use crate::{Rgb, geometry::Geometry};
 
 /// One oriented patch of surface in one voxel. Lengths are in frame units.
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
@@ -78,6 +78,14 @@ impl From<Patch> for Surfel {
 impl Surfel {
     pub fn voxel(&self) -> IVec3 {
         IVec3::from(self.voxel.map(i32::from))
+    }
+
+    /// The surfel's own point on its triangle, and the unit normal of its side there: where light is sampled, because
+    /// the centroid of a curved surface lies under it.
+    pub fn place(&self, geometry: &Geometry) -> (Vec3, Vec3) {
+        let triangle = &geometry.triangles[self.triangle as usize];
+        let normal = if self.back() { -triangle.normal } else { triangle.normal };
+        (triangle.at(self.u(), self.v()), normal)
     }
 
     /// Area-weighted Lambertian albedo ρ, at most [`MAX_ALBEDO`].

@@ -121,7 +121,8 @@ fn a_double_sided_sheet_has_two_faces() {
         assert_eq!(pair[0].normal, -pair[1].normal);
         assert_eq!([pair[0].back(), pair[1].back()], [false, true]);
     }
-    assert!((0..surfels.list.len()).all(|i| (surfels.emission(i) - glow).abs().max_element() < 1e-5));
+    assert!(surfels.emission.iter().map(|e| e.surfel as usize).eq(0..surfels.list.len()));
+    assert!(surfels.emission.iter().all(|e| (e.radiance - glow).abs().max_element() < 1e-5));
 }
 
 /// A textured quad of side 1: the left half of the texture has alpha 0 and green, the right half alpha 1 and red.

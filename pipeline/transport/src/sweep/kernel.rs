@@ -171,8 +171,8 @@ impl<S: Sample> Ray<'_, S> {
                 let chunk = start..range.end.min(start + CHUNK);
                 if face.along > 0.0 {
                     match patch.partial {
-                        false => self.emit_all::<false>(chunk, face, slice, table),
-                        true => self.emit_all::<true>(chunk, face, slice, table),
+                        false => self.emit_all(chunk, face, slice, table),
+                        true => chunk.for_each(|i| self.emit(self.stop(i as u32, slice), face, slice, table)),
                     }
                 } else if face.along < 0.0 {
                     match patch.partial {
@@ -205,7 +205,7 @@ impl<S: Sample> Ray<'_, S> {
     /// A patch that lines leave. What cannot be told from planes alone is put off: every surfel of a patch has a line
     /// of its own, so that their order does not matter.
     #[inline(never)]
-    fn emit_all<const PARTIAL: bool>(&self, range: Range<usize>, face: Face, slice: &Slice, table: &mut Table) {
+    fn emit_all(&self, range: Range<usize>, face: Face, slice: &Slice, table: &mut Table) {
         let (keys, heights) = self.lone(&range);
         let planes = &self.copy.planes[..];
         let (cells, older, late) = (&mut table.cells[..], &mut table.older[..], &mut table.late);
@@ -215,11 +215,6 @@ impl<S: Sample> Ray<'_, S> {
             let at = (keys[k] + shift) as usize;
             let cell = &mut cells[at];
             let surfel = first + k as u32;
-            if PARTIAL {
-                late[put_off % CHUNK] = surfel;
-                put_off += 1;
-                continue;
-            }
             if cell.receiver == none && run.has(cell.emitter) {
                 if planes[cell.emitter as usize] == face.plane {
                     cell.emitter = surfel;

@@ -105,8 +105,8 @@ impl<'a> Sweep<'a> {
         }
     }
 
-    /// Sums of radiosity and weight over the three dominant axes, one axis at a time so that only
-    /// one sorted copy of the surfels lives at once.
+    /// Sums of radiosity and weight over the three dominant axes, one axis at a time so that only one sorted copy of
+    /// the surfels lives at once.
     fn run<S: Sample, const LITERAL: bool>(
         &self,
         directions: &[Direction],

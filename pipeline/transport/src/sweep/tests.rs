@@ -154,9 +154,8 @@ fn a_single_sided_wall_blocks_from_behind_and_is_black() {
 /// Irradiance at a surfel's real point by continuous rays: what the sweep approximates in one bounce.
 fn by_rays(rays: &Rays, surfels: &Surfels, i: usize, radiosity: &dyn Fn(usize) -> f32, count: u32) -> f64 {
     let s = &surfels.list[i];
-    let t = &rays.geometry.triangles[s.triangle as usize];
-    let normal = if s.back() { -t.normal } else { t.normal };
-    let origin = t.at(s.u(), s.v()) + normal * OFFSET;
+    let (point, normal) = s.place(rays.geometry);
+    let origin = point + normal * OFFSET;
     let basis = sampling::basis(normal);
     let shift = sampling::unit2(sampling::mix(i as u64));
     let mut sum = 0.0;

@@ -78,7 +78,8 @@ pub struct Lightcuts<'a> {
     /// Bounds b of both trees' kernels.
     caps: [f32; 2],
     hemisphere: Hemisphere,
-    closed: bool,
+    /// See [`Lightcuts::covered`].
+    covered: bool,
 }
 
 /// Memory that is used again for the next receiver.
@@ -106,8 +107,8 @@ struct Near {
 impl<'a> Lightcuts<'a> {
     pub fn new(field: &'a Field<'a>, settings: Settings) -> Self {
         let geometry = field.rays.geometry;
-        let closed = is_closed(field);
-        let ambient = if closed { mean_radiosity(field) } else { 0.0 };
+        let covered = is_covered(field);
+        let ambient = if covered { mean_radiosity(field) } else { 0.0 };
         let indirect = if settings.indirect {
             LightTree::indirect(geometry, field.surfels, field.solution, ambient)
         } else {
@@ -118,12 +119,20 @@ impl<'a> Lightcuts<'a> {
         let caps = [cap(field.surfels.grid.edge), cap(samples.spacing.max(OFFSET))];
         let direct =
             if settings.emitter_samples > 0 { LightTree::new(samples.lights, 0.0) } else { LightTree::default() };
-        Self { field, settings, indirect, direct, caps, hemisphere: Hemisphere::new(settings.near_rays.max(1)), closed }
+        Self {
+            field,
+            settings,
+            indirect,
+            direct,
+            caps,
+            hemisphere: Hemisphere::new(settings.near_rays.max(1)),
+            covered,
+        }
     }
 
-    /// Rays from lit surfels never leave the scene.
-    pub fn closed(&self) -> bool {
-        self.closed
+    /// All that lit surfels see are surfels.
+    pub fn covered(&self) -> bool {
+        self.covered
     }
 
     fn at(&self, Scratch { cut, seen }: &mut Scratch, receiver: &Receiver) -> Gathered {
@@ -131,7 +140,7 @@ impl<'a> Lightcuts<'a> {
             return Gathered::default();
         }
         let near = self.near(receiver, seen);
-        let control = if self.closed && near.covered && !self.indirect.is_empty() { median(seen) } else { Rgb::ZERO };
+        let control = if self.covered && near.covered && !self.indirect.is_empty() { median(seen) } else { Rgb::ZERO };
         let visible = 0.5 * (1.0 + receiver.normal.dot(receiver.shading_normal).clamp(-1.0, 1.0));
         let offset = near.reflected + near.emitted - control * near.weight + control * visible;
         let sources = [(&self.indirect, self.caps[0]), (&self.direct, self.caps[1])].map(|(tree, cap)| Source {
@@ -226,8 +235,9 @@ fn mean_radiosity(field: &Field) -> f32 {
     if area > 0.0 { (power / area) as f32 } else { 0.0 }
 }
 
-/// Rays from evenly chosen lit surfels all end on surfels: nothing that is lit sees a way out.
-fn is_closed(field: &Field) -> bool {
+/// Rays from evenly chosen lit surfels all end on surfels: nothing that is lit sees a way out. Less than what
+/// [`crate::solve::is_closed`] asks, for which nothing may see one, lit or not, nor the back of a surface.
+fn is_covered(field: &Field) -> bool {
     let (most, rays) = PROBES;
     let reflects = |i: &usize| {
         let (s, solution) = (&field.surfels.list[*i], field.solution);
