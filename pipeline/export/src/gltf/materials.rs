@@ -1,4 +1,4 @@
-//! Materials that carry a lightmap: one copy per material and page, with `MOZ_lightmap`.
+//! Materials that carry a lightmap: one copy per material and picture of a page, with `MOZ_lightmap`.
 //!
 //! `MOZ_lightmap { index, texCoord, intensity }` on the material; the texel times `intensity` is E in lux, which is
 //! what three.js multiplies by albedo / π. `extras.luxel` names the file with the full range.
@@ -23,8 +23,8 @@ pub const SET: usize = 1;
 /// Lightmapped copies of materials.
 pub struct Materials {
     pages: Pages,
-    /// (material, page, set to which textures of set 1 moved) → position in `copies`.
-    known: BTreeMap<(Option<usize>, u32, Option<usize>), usize>,
+    /// (material, picture, set to which textures of set 1 moved) → position in `copies`.
+    known: BTreeMap<(Option<usize>, usize, Option<usize>), usize>,
     copies: Vec<(Option<usize>, Value)>,
     old: usize,
 }
@@ -35,27 +35,23 @@ impl Materials {
         Self { pages: Pages::new(original, pages), known: BTreeMap::new(), copies: Vec::new(), old }
     }
 
-    pub fn pages(&self) -> &[PageTexture] {
-        &self.pages.list
-    }
-
-    /// Points a primitive, and its variants, at copies of their materials that carry the lightmap of `page`.
+    /// Points a primitive, and its variants, at copies of their materials that carry the lightmap's `picture`.
     pub fn apply(
         &mut self,
         original: &Original,
         primitive: &mut Object,
-        page: u32,
+        picture: usize,
         moved: Option<usize>,
     ) -> Checked<()> {
         if !primitive.contains_key("material") {
-            primitive.insert("material".into(), self.copy(original, None, page, moved)?.into());
+            primitive.insert("material".into(), self.copy(original, None, picture, moved)?.into());
             return Ok(());
         }
         let mut outcome = Ok(());
         references::primitive_materials(primitive, &mut |reference| {
             let Some(index) = reference.as_u64().and_then(|n| usize::try_from(n).ok()) else { return };
             // Variants are visited after the material, and none of them twice: a provisional index never comes back.
-            match self.copy(original, Some(index), page, moved) {
+            match self.copy(original, Some(index), picture, moved) {
                 Ok(copy) => *reference = copy.into(),
                 Err(fault) => outcome = Err(fault),
             }
@@ -67,10 +63,10 @@ impl Materials {
         &mut self,
         original: &Original,
         material: Option<usize>,
-        page: u32,
+        picture: usize,
         moved: Option<usize>,
     ) -> Checked<usize> {
-        let key = (material, page, moved);
+        let key = (material, picture, moved);
         if let Some(known) = self.known.get(&key) {
             return Ok(self.old + known);
         }
@@ -82,17 +78,17 @@ impl Materials {
         if let Some(set) = moved {
             move_sets(&mut copy, set);
         }
-        let (texture, intensity) = self.pages.texture(page)?;
+        let (texture, intensity, mark) = self.pages.texture(picture)?;
         let lightmap = json!({ "index": texture, "texCoord": SET, "intensity": intensity });
         object_mut(&mut copy, "extensions")?.insert(EXTENSION.into(), lightmap);
-        add_extra(&mut copy, "luxel", self.pages.mark(page));
+        add_extra(&mut copy, "luxel", mark);
         self.copies.push((material, Value::Object(copy)));
         self.known.insert(key, self.copies.len() - 1);
         Ok(self.old + self.copies.len() - 1)
     }
 
     /// Gives the copies and the textures of the pages their places.
-    pub fn settle(self, draft: &mut Draft) -> Checked<Vec<PageTexture>> {
+    pub fn settle(self, draft: &mut Draft) -> Checked<()> {
         if !self.copies.is_empty() {
             declare_extension(&mut draft.root, EXTENSION)?;
         }

@@ -9,14 +9,15 @@
 //! | images | embedded | `original` |
 //! | meshes of lightmapped nodes | one copy per node, triangles, TEXCOORD_1 in atlas space | `nodes`, `vertices` |
 //! | EXT_mesh_gpu_instancing | child nodes, where instances are lightmapped | `instances` |
-//! | their materials | one copy per page, with `MOZ_lightmap` | `materials` |
-//! | textures and images of the pages | added, or in place of an earlier bake's | `pages`, `bitmap` |
+//! | their materials | one copy per picture of a page, with `MOZ_lightmap` | `materials` |
+//! | textures and images of the pages | added, or in place of an earlier bake's | `pages`, `exposure`, `bitmap` |
 //!
 //! No index of the input changes its meaning: copies take the slot of an original that nothing uses any more, or the
 //! end of the list (`draft`). Of several buffers only the first one's name and extras can survive.
 
 mod bitmap;
 mod draft;
+mod exposure;
 mod instances;
 mod json;
 mod materials;
@@ -34,7 +35,7 @@ use luxel_scene::{Notice, Scene};
 
 pub use original::Original;
 
-use self::{bitmap::Bitmap, draft::Draft, materials::Materials, nodes::Nodes, pages::PageTexture};
+use self::{draft::Draft, exposure::Pictures, materials::Materials, nodes::Nodes, pages::PageTexture};
 use crate::{ExportError, Lightmap};
 
 /// A finished .glb.
@@ -49,9 +50,11 @@ pub struct Glb {
 /// How a page fared in 8 bits.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PageStats {
-    /// E (lux) of a full byte.
+    /// E (lux) of a full byte of its brightest picture.
     pub intensity: f32,
-    /// Covered texels that were clipped.
+    /// Pictures of the page.
+    pub pictures: usize,
+    /// Texels that were clipped.
     pub clipped: usize,
 }
 
@@ -69,23 +72,32 @@ impl Original {
             let fault = format!("{} images for {} pages", lightmaps.len(), atlas.pages.len());
             return Err(ExportError::Image { what: "lightmap".into(), fault });
         }
-        let mut pages = Vec::new();
-        for (map, name) in lightmaps.iter().zip(names) {
-            pages.push(PageTexture { bitmap: Bitmap::new(map)?, file: name.clone() });
-        }
+        let pictures = Pictures::new(atlas, lightmaps);
+        let texture = |picture: &exposure::Picture| {
+            let page = picture.page as usize;
+            let png = bitmap::png(&lightmaps[page], picture.intensity)?;
+            Ok(PageTexture { picture: *picture, png, file: names[page].clone() })
+        };
+        let textures = pictures.list.iter().map(texture).collect::<Result<_, ExportError>>()?;
         self.check_unchanged(&scene.inputs)?;
-        self.write(scene, atlas, pages).map_err(|fault| fault.in_file(&self.path).into())
+        self.write(scene, atlas, &pictures, textures).map_err(|fault| fault.in_file(&self.path).into())
     }
 
-    fn write(&self, scene: &Scene, atlas: &Atlas, pages: Vec<PageTexture>) -> Checked<Glb> {
+    fn write(&self, scene: &Scene, atlas: &Atlas, pictures: &Pictures, textures: Vec<PageTexture>) -> Checked<Glb> {
         let mut draft = Draft::new(self);
-        let nodes = Nodes::new(self, Materials::new(self, pages));
+        let nodes = Nodes::new(self, Materials::new(self, textures), atlas.pages.len() > 1);
         let mut notices = self.notices.clone();
-        let pages = nodes.place(&mut draft, scene, atlas, &mut notices)?.settle(&mut draft)?;
-        let stats = |p: &PageTexture| PageStats { intensity: p.bitmap.intensity, clipped: p.bitmap.clipped };
-        let pages = pages.iter().map(stats).collect();
-        Ok(Glb { bytes: draft.finish()?, pages, notices })
+        nodes.place(&mut draft, scene, atlas, pictures, &mut notices)?.settle(&mut draft)?;
+        Ok(Glb { bytes: draft.finish()?, pages: stats(pictures), notices })
     }
+}
+
+fn stats(pictures: &Pictures) -> Vec<PageStats> {
+    let page = |(page, clipped): (u32, &usize)| {
+        let mine: Vec<f32> = pictures.list.iter().filter(|p| p.page == page).map(|p| p.intensity).collect();
+        PageStats { intensity: mine.first().copied().unwrap_or(1.0), pictures: mine.len(), clipped: *clipped }
+    };
+    (0..).zip(&pictures.clipped).map(page).collect()
 }
 
 /// The scene or its atlas is not of this file.

@@ -9,6 +9,7 @@ use serde_json::Value;
 
 use super::{
     draft::{Draft, settle_copies},
+    exposure::Pictures,
     instances,
     json::{Object, add_extra, forget_extension, item, item_mut, list, number, objects_mut, place},
     materials::{Materials, new_set},
@@ -18,8 +19,14 @@ use super::{
     vertices::{Vertices, source_primitive},
 };
 
+/// A placed primitive, and the picture of its page that shows it.
+struct Shown<'a> {
+    placed: &'a Placed,
+    picture: usize,
+}
+
 /// Placed primitives of one mesh in one place.
-type Primitives<'a> = BTreeMap<usize, &'a Placed>;
+type Primitives<'a> = BTreeMap<usize, Shown<'a>>;
 /// What was baked of one node: the glTF meshes that the scene says it has (one, or the file has changed), and by GPU
 /// instance the primitives.
 #[derive(Default)]
@@ -41,8 +48,7 @@ pub struct Nodes<'a> {
 }
 
 impl<'a> Nodes<'a> {
-    pub fn new(original: &'a Original, materials: Materials) -> Self {
-        let several_pages = materials.pages().len() > 1;
+    pub fn new(original: &'a Original, materials: Materials, several_pages: bool) -> Self {
         let old_meshes = list(&original.root, "meshes").len();
         Self {
             original,
@@ -61,9 +67,10 @@ impl<'a> Nodes<'a> {
         draft: &mut Draft,
         scene: &Scene,
         atlas: &Atlas,
+        pictures: &Pictures,
         notices: &mut Vec<Notice>,
     ) -> Checked<Materials> {
-        for (node, baked) in plan(scene, atlas)? {
+        for (node, baked) in plan(scene, atlas, pictures)? {
             self.place_node(draft, node, baked)?;
         }
         // A stranger that means the old mesh may as well have the first copy: it is the same shape.
@@ -108,11 +115,11 @@ impl<'a> Nodes<'a> {
     /// Puts a copy of the mesh with lightmapped primitives into a node.
     fn give(&mut self, draft: &mut Draft, node: usize, mesh: usize, primitives: &Primitives) -> Checked<()> {
         let mut copy = item(&self.original.root, "meshes", mesh)?.clone();
-        for (&index, placed) in primitives {
+        for (&index, Shown { placed, picture }) in primitives {
             let old = source_primitive(self.original, mesh, index)?;
             let moved = new_set(self.original, old)?;
             let mut new = self.vertices.primitive(draft, self.original, (mesh, index), placed, moved)?;
-            self.materials.apply(self.original, &mut new, placed.page, moved)?;
+            self.materials.apply(self.original, &mut new, *picture, moved)?;
             if let Some(slot) = copy.get_mut("primitives").and_then(|p| p.get_mut(index)) {
                 *slot = Value::Object(new);
             }
@@ -130,25 +137,27 @@ impl<'a> Nodes<'a> {
 
 /// The page of a node, or the list of its primitives' pages (null without) where they differ.
 fn pages(primitives: &Primitives, count: usize) -> Value {
-    let first = primitives.values().next().map(|p| p.page);
-    if primitives.values().all(|p| Some(p.page) == first) {
+    let first = primitives.values().next().map(|p| p.placed.page);
+    if primitives.values().all(|p| Some(p.placed.page) == first) {
         return first.into();
     }
-    (0..count).map(|i| Value::from(primitives.get(&i).map(|p| p.page))).collect()
+    (0..count).map(|i| Value::from(primitives.get(&i).map(|p| p.placed.page))).collect()
 }
 
-fn plan<'a>(scene: &Scene, atlas: &'a Atlas) -> Checked<BTreeMap<usize, Baked<'a>>> {
+fn plan<'a>(scene: &Scene, atlas: &'a Atlas, pictures: &Pictures) -> Checked<BTreeMap<usize, Baked<'a>>> {
     if scene.instances.len() != atlas.placed.len() {
         return Err(mismatch("atlas", "it does not belong to this scene"));
     }
     let mut plan: BTreeMap<usize, Baked> = BTreeMap::new();
-    for (instance, placed) in scene.instances.iter().zip(&atlas.placed) {
+    for ((instance, placed), picture) in scene.instances.iter().zip(&atlas.placed).zip(&pictures.of) {
         let Some(placed) = placed.as_ref().filter(|p| !p.triangles.is_empty()) else { continue };
+        let no_page = || mismatch("atlas", &format!("it has no page {}", placed.page));
+        let shown = Shown { placed, picture: picture.ok_or_else(no_page)? };
         let mesh = &scene.meshes[instance.mesh];
         let baked = plan.entry(instance.node).or_default();
         baked.meshes.insert(mesh.gltf_mesh);
         let primitives = baked.by_instance.entry(instance.gpu_instance).or_default();
-        if primitives.insert(mesh.gltf_primitive, placed).is_some() {
+        if primitives.insert(mesh.gltf_primitive, shown).is_some() {
             return Err(mismatch(&instance.name, "it is there twice"));
         }
     }

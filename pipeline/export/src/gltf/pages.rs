@@ -1,7 +1,7 @@
-//! Atlas pages as textures of the document.
+//! Pictures of atlas pages as textures of the document.
 //!
-//! While materials are copied, the pages in use have provisional texture indices past the end of the list. When all
-//! materials have their places, the pages take the slots of textures and images that an earlier bake left (they carry
+//! While materials are copied, the pictures in use have provisional texture indices past the end of the list. When all
+//! materials have their places, the pictures take the slots of textures and images that an earlier bake left (they carry
 //! `extras.luxel`) and that nobody uses any more, and only then go to the end: so a scene that is baked again and again
 //! does not grow.
 
@@ -11,26 +11,27 @@ use luxel_scene::import::Checked;
 use serde_json::{Value, json};
 
 use super::{
-    bitmap::Bitmap,
     draft::{Draft, Target},
+    exposure::Picture,
     json::{Object, list, list_mut},
     mismatch,
     original::Original,
     references,
 };
 
-/// A page as materials refer to it.
+/// A picture of a page as materials refer to it.
 pub struct PageTexture {
-    pub bitmap: Bitmap,
+    pub picture: Picture,
+    pub png: Vec<u8>,
     /// Name of the file with the full range.
     pub file: String,
 }
 
-/// All pages of the atlas, and which of them the document shows.
+/// All pictures of the atlas, and which of them the document shows.
 pub struct Pages {
-    pub list: Vec<PageTexture>,
-    /// Pages in the order in which materials first asked for them; the position is that of the provisional index.
-    shown: Vec<u32>,
+    list: Vec<PageTexture>,
+    /// Pictures in the order in which materials first asked for them; the position is that of the provisional index.
+    shown: Vec<usize>,
     old: usize,
 }
 
@@ -39,27 +40,21 @@ impl Pages {
         Self { list, shown: Vec::new(), old: super::json::list(&original.root, "textures").len() }
     }
 
-    /// The provisional texture index of a page, and the intensity of its bytes.
-    pub fn texture(&mut self, page: u32) -> Checked<(usize, f64)> {
-        let place = || mismatch("atlas", &format!("it has no page {page}"));
-        let intensity = self.list.get(page as usize).ok_or_else(place)?.bitmap.intensity;
-        let position = self.shown.iter().position(|p| *p == page).unwrap_or_else(|| {
-            self.shown.push(page);
+    /// The provisional texture index of a picture, the intensity of its bytes, and [`mark`].
+    pub fn texture(&mut self, picture: usize) -> Checked<(usize, f64, Value)> {
+        let missing = || mismatch("atlas", &format!("it has no picture {picture}"));
+        let texture = self.list.get(picture).ok_or_else(missing)?;
+        let position = self.shown.iter().position(|p| *p == picture).unwrap_or_else(|| {
+            self.shown.push(picture);
             self.shown.len() - 1
         });
-        Ok((self.old + position, intensity.into()))
-    }
-
-    /// `extras.luxel` of what shows a page.
-    pub fn mark(&self, page: u32) -> Value {
-        let file = &self.list[page as usize].file;
-        json!({ "lightmap": file, "page": page, "unit": "lux", "version": env!("CARGO_PKG_VERSION") })
+        Ok((self.old + position, texture.picture.intensity.into(), mark(texture)))
     }
 
     /// Gives the textures and images their places. All materials must have theirs.
-    pub fn settle(self, draft: &mut Draft) -> Checked<Vec<PageTexture>> {
+    pub fn settle(self, draft: &mut Draft) -> Checked<()> {
         if self.shown.is_empty() {
-            return Ok(self.list);
+            return Ok(());
         }
         let possible = references::possible(&draft.root);
         let textures = list(&draft.root, "textures");
@@ -80,17 +75,25 @@ impl Pages {
             }
         });
         let sampler = sampler(&mut draft.root)?;
-        for ((page, slot), image) in self.shown.iter().zip(slots).zip(image_slots) {
-            let name = format!("lightmap {page}");
-            let extras = json!({ "luxel": self.mark(*page) });
-            let view = draft.add_view(self.list[*page as usize].bitmap.png.clone(), Target::Other);
+        let mut list: Vec<Option<PageTexture>> = self.list.into_iter().map(Some).collect();
+        for ((picture, slot), image) in self.shown.iter().zip(slots).zip(image_slots) {
+            let Some(shown) = list.get_mut(*picture).and_then(Option::take) else { continue };
+            let name = format!("lightmap {} to {} lux", shown.picture.page, shown.picture.intensity);
+            let extras = json!({ "luxel": mark(&shown) });
+            let view = draft.add_view(shown.png, Target::Other);
             let picture = json!({ "name": name, "bufferView": view, "mimeType": "image/png" });
             put(draft, "images", image, picture)?;
             let texture = json!({ "name": name, "sampler": sampler, "source": image, "extras": extras });
             put(draft, "textures", slot, texture)?;
         }
-        Ok(self.list)
+        Ok(())
     }
+}
+
+/// `extras.luxel` of what shows a page.
+fn mark(texture: &PageTexture) -> Value {
+    let page = texture.picture.page;
+    json!({ "lightmap": texture.file, "page": page, "unit": "lux", "version": env!("CARGO_PKG_VERSION") })
 }
 
 /// Indices for `count` new items: of `ours` those that are neither used nor possibly so, then from the end on.
