@@ -61,11 +61,13 @@ pub fn atlas_settings(settings: &Settings) -> AtlasSettings {
     }
 }
 
-/// Identity of a result: luxel's version and that of its stages, all bytes that were read, and the settings that `matters` names.
-pub fn key(scene: &Scene, settings: &Settings, matters: impl Fn(&str) -> bool) -> Key {
+/// Identity of a result: luxel's version and that of the `stages` that made it, all bytes that were read, and the
+/// settings that `matters` names.
+pub fn key(scene: &Scene, settings: &Settings, stages: &[Stage], matters: impl Fn(&str) -> bool) -> Key {
     let mut hasher = blake3::Hasher::new();
     hasher.update(env!("CARGO_PKG_VERSION").as_bytes());
-    for stage in Stage::ALL {
+    for stage in stages {
+        hasher.update(stage.name().as_bytes());
         hasher.update(&stage.version().to_le_bytes());
     }
     for input in &scene.inputs {
@@ -98,12 +100,12 @@ mod tests {
             let path = folder.path().join(name);
             exr::prelude::write_rgb_file(&path, 8, 4, |_, _| (radiance, 1.0, 1.0)).unwrap();
             let settings = Settings { sky: SkySetting::Image(path), ..Settings::default() };
-            key(&load(&scene, &settings).unwrap(), &settings, |_| true)
+            key(&load(&scene, &settings).unwrap(), &settings, &Stage::ALL, |_| true)
         };
         let noon = key_of("noon.exr", 1.0);
         assert_eq!(key_of("twelve.exr", 1.0), noon);
         assert_ne!(key_of("noon.exr", 2.0), noon, "other light is another input");
         let none = Settings::default();
-        assert_ne!(key(&load(&scene, &none).unwrap(), &none, |_| true), noon);
+        assert_ne!(key(&load(&scene, &none).unwrap(), &none, &Stage::ALL, |_| true), noon);
     }
 }

@@ -85,7 +85,7 @@ fn run(request: &Request, progress: &dyn Progress) -> Result<Baked, Error> {
     let plan = Plan::new(&scene, settings);
     journal.explain(Stage::Import, plan.reason(Stage::Import));
     // The number of threads changes no byte.
-    let key = input::key(&scene, settings, |name| name != "threads");
+    let key = input::key(&scene, settings, &Stage::ALL, |name| name != "threads");
     let geometry = Geometry::new(&scene);
     export::probe(&request.outputs)?;
     let store = transport::Store::new(&request.outputs, &scene, settings);

@@ -66,6 +66,10 @@ const KEY_SETTINGS: [&str; 23] = [
 /// The stages that a stored octree stands for.
 const STORED: [Stage; 4] = [Stage::Surfels, Stage::Shoot, Stage::Propagate, Stage::Refresh];
 
+/// The stages whose versions the light at surfels depends on: a later one may change without costing it.
+const KEY_STAGES: [Stage; 7] =
+    [Stage::Import, Stage::Rays, Stage::Surfels, Stage::Shoot, Stage::Propagate, Stage::Refresh, Stage::Cache];
+
 /// Why they need not run where their octree is there.
 const REUSED: &str = "the stored light was made from the same input and settings";
 
@@ -97,7 +101,7 @@ pub struct Store {
 impl Store {
     pub fn new(outputs: &OutputSet, scene: &Scene, settings: &Settings) -> Self {
         let path = outputs.folder().join(".luxel").join(format!("{}.octree", outputs.stem()));
-        Self { path, key: input::key(scene, settings, |name| KEY_SETTINGS.contains(&name)) }
+        Self { path, key: input::key(scene, settings, &KEY_STAGES, |name| KEY_SETTINGS.contains(&name)) }
     }
 
     /// The stored light, if it is this bake's.
@@ -328,6 +332,18 @@ mod tests {
             "the light at surfels has changed: raise the version of the stage that changed it in Stage::version, \
              then write versions and hash here"
         );
+    }
+
+    #[test]
+    fn stored_light_depends_on_no_stage_that_comes_after_it() {
+        assert!(STORED.iter().all(|stage| KEY_STAGES.contains(stage)));
+        assert!(KEY_STAGES.iter().all(|stage| *stage <= Stage::Cache && *stage != Stage::Unwrap), "{KEY_STAGES:?}");
+        let (scene, settings) = (Builder::new("empty").build(), Settings::default());
+        let of = |stages: &[Stage]| input::key(&scene, &settings, stages, |_| true);
+        assert_ne!(of(&KEY_STAGES), of(&Stage::ALL));
+        let outputs = OutputSet::new("empty.glb".as_ref(), None, None).unwrap();
+        let stored = input::key(&scene, &settings, &KEY_STAGES, |name| KEY_SETTINGS.contains(&name));
+        assert_eq!(Store::new(&outputs, &scene, &settings).key, stored);
     }
 
     #[test]
