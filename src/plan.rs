@@ -169,6 +169,11 @@ impl Plan {
         self.steps.iter().any(|s| s.stage == stage && s.runs)
     }
 
+    /// A map of stated bounds is wanted and can be had: the gather runs, in a mode that states one.
+    pub fn states_bound(&self, settings: &Settings) -> bool {
+        settings.bound && settings.states_bound() && self.runs(Stage::Gather)
+    }
+
     /// Marks a stage that the bake needs as one that it will not run anew.
     pub fn reuse(&mut self, stage: Stage, reason: &str) {
         for step in self.steps.iter_mut().filter(|s| s.stage == stage && s.runs) {

@@ -7,7 +7,7 @@ use luxel_transport::Rgb;
 
 use super::texels::TexelLight;
 use crate::Error;
-use crate::plan::{Plan, Stage};
+use crate::plan::Plan;
 use crate::settings::Settings;
 
 /// One lightmap per page, and one map of stated bounds where the settings ask for it and the gather states one.
@@ -25,7 +25,7 @@ pub fn run(
     let mut bounds = Vec::new();
     // What states no bound, be it the mode or because nothing was gathered, must not seem to state that its error is
     // nothing.
-    if settings.bound && settings.states_bound() && plan.runs(Stage::Gather) {
+    if plan.states_bound(settings) {
         // A bound is no light: a seam may show in it.
         let how = FinishSettings { stitch: false, ..how };
         let (images, _) = finish(scene, atlas, |i| open(i).then(|| Rgb::splat(light.bound[i])), &how)?;

@@ -166,7 +166,7 @@ fn light<'g>(
         None => {
             transport::skip(plan, journal);
             texels::skip(plan, journal);
-            (TexelLight::dark(atlas.texels.len(), settings.bound), transport::Facts::default())
+            (TexelLight::dark(atlas.texels.len(), plan.states_bound(settings)), transport::Facts::default())
         }
     };
     let images = journal.run(plan, Stage::Finish, Some(0), |_, counters| {

@@ -39,7 +39,8 @@ pub struct TexelLight {
     pub direct: Vec<Rgb>,
     /// Reflected at least once, and from the sky [lux].
     pub indirect: Vec<Rgb>,
-    /// Stated bound of the error of the band mean of the indirect light [lux]; empty where none is asked for.
+    /// Stated bound of the error of the band mean of the indirect light [lux]; empty where none is asked for
+    /// or can be stated.
     pub bound: Vec<f32>,
     /// Inside or under other geometry: its value means nothing.
     pub buried: Vec<bool>,
@@ -238,9 +239,10 @@ pub fn run(
     journal: &mut Journal,
 ) -> Result<TexelLight, Error> {
     let geometry = rays.geometry;
-    let mut sides = vec![Side::front(geometry, atlas, settings.bound)];
+    let bound = plan.states_bound(settings);
+    let mut sides = vec![Side::front(geometry, atlas, bound)];
     if settings.double_sided != DoubleSided::Front {
-        sides.push(Side::back(geometry, atlas, settings.bound));
+        sides.push(Side::back(geometry, atlas, bound));
     }
     let work = sides.iter().map(|s| s.len() as u64).sum();
     let stride = settings.node_spacing.0;
