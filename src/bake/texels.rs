@@ -71,7 +71,7 @@ struct Side<'a> {
     back: bool,
     /// Receivers that are not at their texel's point because that one is buried, by rising index.
     moved: Vec<(usize, Receiver)>,
-    /// Texels whose point is buried by something thin, with receivers on the far side of it, by rising index.
+    /// Texels of a front whose point is buried by something thin, with receivers on its far side, by rising index.
     beyond: Vec<(usize, Receiver)>,
     light: TexelLight,
 }
@@ -110,11 +110,11 @@ impl<'a> Side<'a> {
         }
     }
 
-    /// The texels of a side that stand for the far side of a thin wall too, over there.
+    /// The texels of a front that stand for the far side of a thin wall too, over there.
     fn far(&self) -> Self {
-        let number = |i: usize| self.some.as_ref().map_or(i as u32, |some| some[i]);
         Self {
-            some: Some(self.beyond.iter().map(|(i, _)| number(*i)).collect()),
+            // A front has all texels, so their place in it is their number.
+            some: Some(self.beyond.iter().map(|(i, _)| *i as u32).collect()),
             moved: self.beyond.iter().map(|(_, receiver)| *receiver).enumerate().collect(),
             beyond: Vec::new(),
             light: TexelLight::dark(self.beyond.len(), !self.light.bound.is_empty()),
@@ -169,7 +169,8 @@ impl<'a> Side<'a> {
                     Some(receiver) => self.moved.push((i, receiver)),
                     None => self.light.buried[i] = true,
                 }
-                self.beyond.extend(sides.smaller.map(|receiver| (i, receiver)));
+                // Only the far sides of a front are gathered.
+                self.beyond.extend(sides.smaller.filter(|_| !self.back).map(|receiver| (i, receiver)));
             }
             progress.advance(length as u64);
         }
@@ -359,22 +360,22 @@ fn combine_sides(sides: Vec<Side>, rule: DoubleSided) -> TexelLight {
     let mut out = sides.next().map(|s| s.light).unwrap_or_default();
     for side in sides {
         for (k, i) in side.some.iter().flatten().map(|i| *i as usize).enumerate() {
-            let back = &side.light;
+            let other = &side.light;
             let share = match rule {
-                _ if !side.back => f32::from(back.total(k).element_sum() < out.total(i).element_sum()),
+                _ if !side.back => f32::from(other.total(k).element_sum() < out.total(i).element_sum()),
                 // A side that lies within something has nothing to say.
-                _ if back.buried[k] => 0.0,
+                _ if other.buried[k] => 0.0,
                 _ if out.buried[i] => 1.0,
                 DoubleSided::Front => 0.0,
                 DoubleSided::Average => 0.5,
-                DoubleSided::Max => f32::from(back.total(k).element_sum() > out.total(i).element_sum()),
+                DoubleSided::Max => f32::from(other.total(k).element_sum() > out.total(i).element_sum()),
             };
-            out.direct[i] = out.direct[i].lerp(back.direct[k], share);
-            out.indirect[i] = out.indirect[i].lerp(back.indirect[k], share);
+            out.direct[i] = out.direct[i].lerp(other.direct[k], share);
+            out.indirect[i] = out.indirect[i].lerp(other.indirect[k], share);
             if let Some(bound) = out.bound.get_mut(i) {
-                *bound += (back.bound[k] - *bound) * share;
+                *bound += (other.bound[k] - *bound) * share;
             }
-            out.buried[i] &= back.buried[k];
+            out.buried[i] &= other.buried[k];
         }
     }
     out
