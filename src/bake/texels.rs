@@ -39,8 +39,8 @@ pub struct TexelLight {
     pub direct: Vec<Rgb>,
     /// Reflected at least once, and from the sky [lux].
     pub indirect: Vec<Rgb>,
-    /// Stated bound of the error of the band mean of the indirect light [lux]; empty where none is asked for
-    /// or can be stated.
+    /// Stated bound of the error of the band mean of the indirect light [lux]: the cuts' own at nodes, an estimate once
+    /// those are averaged and interpolated. Empty where none is asked for or can be stated.
     pub bound: Vec<f32>,
     /// Inside or under other geometry: its value means nothing.
     pub buried: Vec<bool>,
@@ -178,7 +178,8 @@ impl<'a> Side<'a> {
     }
 
     /// Gathers at every receiver that is not buried, block by block, and hands each result to `put` with its index.
-    /// With `nodes`, only some are gathered and the rest interpolated. Returns how many were gathered.
+    /// With `nodes`, only some are gathered (all, where they stand at every texel), averaged with neighbours that agree,
+    /// and the rest interpolated: their bounds are estimates. Returns how many were gathered.
     fn gather(
         &mut self,
         gatherer: &dyn Gather,

@@ -158,8 +158,9 @@ settings! {
         ["count"] near_rays: Samples = Samples(16);
         /// Rays per texel of the mode final.
         ["count"] gather_rays: Samples = Samples(256);
-        /// Texels between the nodes at which indirect light is gathered before it is interpolated, finer where it
-        /// changes; 1 gathers at every texel. The stated bound of what is interpolated is an estimate.
+        /// Texels between the nodes at which sky and indirect light are gathered, finer where they change; 1 gathers at
+        /// every texel. Nodes are averaged with neighbours that agree and interpolated between, so the bound stated there
+        /// is an estimate.
         ["texels"] node_spacing: Spacing = Spacing(4);
         /// Samples on every lamp and emissive polygon: the smoothness of penumbrae.
         ["count"] shadow_samples: Samples = Samples(64);
