@@ -23,9 +23,9 @@ pub enum DiscoverError {
     List { path: PathBuf, source: io::Error },
 }
 
-/// Expands files and folders, in the order of naming, folders sorted by path, no scene twice. Folders that hold
-/// outputs (`baked`, and `out` itself), hidden ones and links to folders are not entered; a .glb whose report beside it says
-/// that a bake wrote it is passed over wherever it lies.
+/// Expands files and folders, in the order of naming, folders sorted by path, no scene twice. Folders that hold outputs
+/// (`baked`, and `out` itself), hidden ones and links to folders are not entered; a .glb whose report beside it says that
+/// a bake wrote it is passed over wherever it lies.
 pub fn find(paths: &[PathBuf], out: Option<&Path>) -> Result<Vec<Found>, DiscoverError> {
     let mut found: Vec<Found> = Vec::new();
     let out = out.and_then(|o| o.canonicalize().ok());
