@@ -1,12 +1,13 @@
 //! What a scene needs, and what it does not: decided once, before any work, and obeyed by the bake.
 //!
-//! A [`Plan`] is a pure function of scene and settings. It lists every stage with the reason why it runs or is left
-//! out, and estimates the memory that the bake takes beyond the scene.
+//! [`Plan::new`] is a pure function of scene and settings. It lists every stage with the reason why it runs or is left
+//! out, and estimates the memory that the bake takes beyond the scene. What lies in files is added to it afterwards:
+//! stages whose result is stored ([`Plan::reuse`]).
 
 use luxel_scene::{LightKind, Material, Scene};
 use serde::Serialize;
 
-use crate::settings::{GatherMode, Only, Settings, Voxels};
+use crate::settings::{Gatherer, Only, Settings, Voxels};
 
 /// The chain of a bake, in order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
@@ -67,9 +68,7 @@ impl Stage {
             Self::Export => "export",
         }
     }
-}
 
-impl Stage {
     /// Version of what the stage makes. Raise it here whenever the stage makes something else of the same input:
     /// stored light of an older version is then made anew instead of being taken for this one's.
     pub fn version(self) -> u32 {
@@ -309,7 +308,7 @@ fn decide(stage: Stage, facts: &Facts, settings: &Settings) -> Result<String, St
         Stage::Direct => Ok(facts.sources()),
         Stage::Sky if !facts.sky => no("there is no sky"),
         Stage::Sky if settings.only == Only::Direct => no("only direct light is wanted"),
-        Stage::Sky if settings.gather_mode() == GatherMode::Lookup && !facts.black => {
+        Stage::Sky if settings.gatherer() == Gatherer::Lookup && !facts.black => {
             no("the cache that is looked up holds the sky's light")
         }
         Stage::Sky => Ok(format!("{} rays per texel", settings.sky_rays.0)),
@@ -331,10 +330,10 @@ fn decide(stage: Stage, facts: &Facts, settings: &Settings) -> Result<String, St
         Stage::Refresh if settings.refresh.0 == 0 => no("switched off"),
         Stage::Refresh => Ok(format!("{} rays per surfel", settings.refresh.0)),
         Stage::Cache => yes("octree of the light at surfels"),
-        Stage::Gather => Ok(match settings.gather_mode() {
-            GatherMode::Lookup => "looked up in the cache".into(),
-            GatherMode::Final => format!("{} rays per texel", settings.gather_rays.0),
-            GatherMode::Lightcuts | GatherMode::Auto => {
+        Stage::Gather => Ok(match settings.gatherer() {
+            Gatherer::Lookup => "looked up in the cache".into(),
+            Gatherer::Final => format!("{} rays per texel", settings.gather_rays.0),
+            Gatherer::Lightcuts => {
                 format!("lightcuts to {} % of a texel's light", settings.cut_error.0 * 100.0)
             }
         }),

@@ -9,7 +9,6 @@ use super::Lit;
 use super::journal::Journal;
 use super::record::Record;
 use crate::plan::{Plan, Stage};
-use crate::settings::value::Value;
 use crate::settings::{Resolved, Settings};
 use crate::store::OCTREE;
 
@@ -95,7 +94,7 @@ fn no_bound(plan: &Plan, settings: &Settings) -> String {
         let reason = plan.reason(Stage::Gather);
         return format!("no bound image is written: no light was gathered that a bound could be stated of ({reason})");
     }
-    let mode = settings.gather_mode().write();
+    let mode = settings.gatherer().name();
     format!("the gather mode {mode} states no error bound, so no bound image is written; --gather lightcuts states one")
 }
 

@@ -24,7 +24,7 @@ use super::journal::{Counters, Journal};
 use super::transport::Transport;
 use crate::Error;
 use crate::plan::{Plan, Stage};
-use crate::settings::{DoubleSided, GatherMode, Settings};
+use crate::settings::{DoubleSided, Gatherer, Settings};
 
 /// Texels whose receivers exist at the same time.
 const BLOCK: usize = 1 << 14;
@@ -279,13 +279,13 @@ pub fn run(
     journal.run(plan, Stage::Gather, Some(work), |progress, counters| {
         let Some((surfels, solution)) = &transport.surfels else { return Ok(()) };
         let field = Field::new(rays, surfels, solution)?;
-        match settings.gather_mode() {
-            GatherMode::Lookup => gather(&mut sides, &Lookup::new(&field), Part::Bounced, None, progress, counters),
-            GatherMode::Final => {
+        match settings.gatherer() {
+            Gatherer::Lookup => gather(&mut sides, &Lookup::new(&field), Part::Bounced, None, progress, counters),
+            Gatherer::Final => {
                 let gatherer = FinalGather::new(&field, settings.gather_rays.0);
                 gather(&mut sides, &gatherer, Part::Bounced, nodes, progress, counters)
             }
-            GatherMode::Lightcuts | GatherMode::Auto => {
+            Gatherer::Lightcuts => {
                 let gatherer = Lightcuts::new(&field, lightcut_settings(settings));
                 gather(&mut sides, &gatherer, Part::Bounced, nodes, progress, counters)
             }

@@ -104,14 +104,14 @@ impl Store {
         Self { path, key: input::key(scene, settings, &KEY_STAGES, |name| KEY_SETTINGS.contains(&name)) }
     }
 
-    /// The stored light, if it is this bake's.
-    fn read(&self, triangles: usize) -> Result<(Surfels, Solution, Record), String> {
+    /// The stored light, if it is this bake's; else a warning, if that is cause for one.
+    fn read(&self, triangles: usize) -> Result<(Surfels, Solution, Record), Option<String>> {
+        let foreign = |why: String| Some(format!("{}: the stored light is made anew: {why}", self.path.display()));
         let body = store::read(&self.path, store::OCTREE, &self.key).map_err(|miss| match miss {
-            // An ordinary change of input or settings is no cause for a warning.
-            Miss::Absent | Miss::OtherKey => String::new(),
-            miss => format!("{}: the stored light is made anew: {miss}", self.path.display()),
+            // An ordinary change of input or settings.
+            Miss::Absent | Miss::OtherKey => None,
+            miss => foreign(miss.to_string()),
         })?;
-        let foreign = |why: String| format!("{}: the stored light is made anew: {why}", self.path.display());
         let (record, body) = Record::split(&body).map_err(foreign)?;
         let octree = Octree::from_bytes(body, body.len()).map_err(|e| foreign(e.to_string()))?;
         if !octree.fits(triangles) {
@@ -160,7 +160,7 @@ pub fn run(
                 facts.record = Some(record);
                 return Ok(Transport { emitters, surfels: Some((surfels, solution)), facts });
             }
-            Err(miss) => facts.miss = (!miss.is_empty()).then_some(miss),
+            Err(miss) => facts.miss = miss,
         }
     }
     let (surfels, solution, mut record) = made(rays, &emitters, settings, plan, journal)?;

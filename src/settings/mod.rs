@@ -11,7 +11,9 @@ pub mod value;
 
 pub use resolve::{Layer, Origin, Resolved, SettingsError, resolve};
 use value::*;
-pub use value::{Area, Closed, DirectionSet, DoubleSided, GatherMode, Only, Preset, Rule, SkySetting, Voxels};
+pub use value::{
+    Area, Closed, DirectionSet, DoubleSided, GatherMode, Gatherer, Only, Preset, Rule, SkySetting, Voxels,
+};
 
 /// A setting: its name and how to read, write and explain it.
 #[derive(Debug)]
@@ -212,15 +214,16 @@ impl Settings {
 
     /// The gather's mode states an error bound.
     pub fn states_bound(&self) -> bool {
-        matches!(self.gather_mode(), GatherMode::Auto | GatherMode::Lightcuts)
+        self.gatherer() == Gatherer::Lightcuts
     }
 
     /// `gather` with `auto` decided.
-    pub fn gather_mode(&self) -> GatherMode {
+    pub fn gatherer(&self) -> Gatherer {
         match self.gather {
-            GatherMode::Auto if self.preset == Preset::Draft => GatherMode::Lookup,
-            GatherMode::Auto => GatherMode::Lightcuts,
-            chosen => chosen,
+            GatherMode::Auto if self.preset == Preset::Draft => Gatherer::Lookup,
+            GatherMode::Auto | GatherMode::Lightcuts => Gatherer::Lightcuts,
+            GatherMode::Final => Gatherer::Final,
+            GatherMode::Lookup => Gatherer::Lookup,
         }
     }
 }
