@@ -34,6 +34,11 @@ pub enum Error {
     Store { path: PathBuf, source: std::io::Error },
     #[error(transparent)]
     Export(#[from] ExportError),
+    #[error(
+        "the bake needs about {needed} MiB of memory, more than the {most} MiB that can be had; the largest part are \
+         {part} ({part_needs} MiB): {remedy}, or give luxel more memory (swap counts)"
+    )]
+    Memory { needed: u64, most: u64, part: &'static str, part_needs: u64, remedy: &'static str },
     #[error("cannot start {threads} threads; try fewer with --threads")]
     Threads { threads: u32, source: rayon::ThreadPoolBuildError },
     /// A fault of luxel: something panicked. Other scenes are not concerned.

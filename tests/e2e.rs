@@ -207,6 +207,31 @@ fn the_plan_tells_every_stage_and_writes_nothing() {
 }
 
 #[test]
+fn the_plan_says_what_a_bake_would_say_of_the_scene() {
+    let folder = folder(&[]);
+    let mut document: Value = serde_json::json!({"asset": {"version": "2.0"}, "scenes": [{"nodes": [0]}]});
+    document["nodes"] = serde_json::json!([{"mesh": 0, "extras": {"luxel_scal": 2}}]);
+    document["meshes"] = serde_json::json!([{"primitives": [{"attributes": {"POSITION": 0}}]}]);
+    document["accessors"] = serde_json::json!([{"bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC3",
+        "min": [0, 0, 0], "max": [1, 1, 0]}]);
+    document["bufferViews"] = serde_json::json!([{"buffer": 0, "byteLength": 36}]);
+    document["buffers"] = serde_json::json!([{"byteLength": 36, "uri": "a.bin"}]);
+    std::fs::write(folder.path().join("a.gltf"), document.to_string()).unwrap();
+    let corners = [[0.0f32, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]];
+    let bytes: Vec<u8> = corners.iter().flatten().flat_map(|x| x.to_le_bytes()).collect();
+    std::fs::write(folder.path().join("a.bin"), bytes).unwrap();
+    let output = quick(&["plan", "a.gltf"], folder.path());
+    succeeded(&output);
+    let said = text(&output.stderr);
+    assert!(said.contains("--sky") && said.contains("luxel_scal"), "{said}");
+    let output = quick(&["plan", "a.gltf", "--json"], folder.path());
+    let said = text(&output.stdout);
+    let event: Value = serde_json::from_str(said.lines().find(|l| l.contains("\"plan\"")).unwrap()).unwrap();
+    let codes: Vec<_> = event["plan"]["warnings"].as_array().unwrap().iter().map(|w| w["code"].clone()).collect();
+    assert!(codes.contains(&"no-light".into()) && codes.contains(&"unknown-extra".into()), "{codes:?}");
+}
+
+#[test]
 fn the_plan_knows_what_is_stored() {
     let folder = folder(&["cornell.glb"]);
     let states = |flags: &[&str]| {
@@ -239,6 +264,29 @@ fn outputs_that_cannot_be_written_are_told_before_any_work() {
     assert_eq!(started, ["import"]);
     let failed = events.iter().find(|e| e["event"] == "failed").unwrap();
     assert!(failed["error"].as_str().unwrap().contains("another one with --out"), "{failed}");
+}
+
+/// A bake that cannot fit is refused before any work; a plan says so too.
+#[cfg(target_os = "linux")]
+#[test]
+fn a_bake_that_does_not_fit_into_memory_is_refused() {
+    let folder = folder(&["cornell.glb"]);
+    let limited = |task: &str| {
+        let command =
+            format!("ulimit -v 600000; exec \"$0\" {task} cornell.glb --preset draft --size 16384 --voxels 1000");
+        let mut shell = Command::new("sh");
+        shell.args(["-c", &command, env!("CARGO_BIN_EXE_luxel")]).current_dir(folder.path());
+        let output = shell.output().unwrap();
+        (output.status.code(), text(&output.stderr))
+    };
+    let (code, said) = limited("bake");
+    assert!(
+        code == Some(1) && said.contains("MiB") && said.contains("the texels") && said.contains("--size"),
+        "{said}"
+    );
+    assert_eq!(names(folder.path()), ["cornell.glb"]);
+    let (code, said) = limited("plan");
+    assert!(code == Some(0) && said.contains("note: ") && said.contains("--size"), "{said}");
 }
 
 /// Names that are no Unicode: below a folder everything works, as a scene's own name it costs that scene.

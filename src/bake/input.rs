@@ -3,15 +3,35 @@
 use std::path::Path;
 
 use luxel_atlas::AtlasSettings;
-use luxel_scene::{ImportOptions, Limits, Scene, Sky, SkyImage, import};
+use luxel_export::Original;
+use luxel_scene::{ImportOptions, Limits, Progress, Scene, Sky, SkyImage, import};
 
 use crate::Error;
-use crate::plan::Stage;
+use crate::plan::{Plan, Stage};
 use crate::settings::{FIELDS, Settings, SkySetting};
 use crate::store::Key;
 
+/// Reads the scene, what of its file the export will write again, and plans the bake.
+///
+/// The latter is read now because a fault in it must not come out after the bake, and kept because the file may be
+/// another one by then: who saves a level while it is baked still gets the light of the level that was.
+pub fn open(path: &Path, settings: &Settings, progress: &dyn Progress) -> Result<(Scene, Original, Plan), Error> {
+    let scene = load(path, settings)?;
+    progress.advance(1);
+    progress.check()?;
+    let original = Original::read(path)?;
+    original.check_unchanged(&scene.inputs)?;
+    let mut plan = Plan::new(&scene, settings);
+    plan.weigh(original.bytes());
+    progress.advance(1);
+    Ok((scene, original, plan))
+}
+
+/// Steps of [`open`].
+pub const STEPS: u64 = 2;
+
 /// Reads the scene, and the sky that the settings name.
-pub fn load(path: &Path, settings: &Settings) -> Result<Scene, Error> {
+fn load(path: &Path, settings: &Settings) -> Result<Scene, Error> {
     let options = ImportOptions {
         metal_diffuse: settings.metal_diffuse.0,
         light_scale: settings.light_scale.0,

@@ -13,7 +13,7 @@ use crate::settings::{Resolved, Settings};
 use crate::store::OCTREE;
 
 /// The part that is known before the bake.
-pub fn start(scene: &Scene, settings: &Resolved) -> Report {
+pub fn start(scene: &Scene, plan: &Plan, settings: &Resolved) -> Report {
     let inputs = scene.inputs.iter().map(Input::from).collect();
     let mut report = Report::new(SceneInfo { name: scene.name.clone(), inputs });
     report.versions.insert("luxel".into(), env!("CARGO_PKG_VERSION").into());
@@ -29,7 +29,7 @@ pub fn start(scene: &Scene, settings: &Resolved) -> Report {
             origin: origin.to_string(),
         })
         .collect();
-    report.warnings = scene.notices.iter().map(Warning::from).collect();
+    report.warnings = plan.warnings.clone();
     report
 }
 

@@ -58,6 +58,12 @@ impl Original {
         Ok(original)
     }
 
+    /// Bytes of all buffers and images.
+    pub fn bytes(&self) -> u64 {
+        let buffers = (0..self.buffers.document().root.buffers.len()).map(|i| self.buffers.bytes(i).len());
+        buffers.chain(self.taken_in.iter().map(Vec::len)).map(|n| n as u64).sum()
+    }
+
     /// Files that the importer read too must have had the same bytes then.
     ///
     /// # Errors
