@@ -30,7 +30,9 @@ pub enum Error {
     Octree(#[from] OctreeError),
     #[error("cannot write to the folder {path}; choose another one with --out")]
     Folder { path: PathBuf, source: std::io::Error },
-    #[error("cannot store the light at surfels in {path}; choose another folder with --out")]
+    #[error(
+        "cannot store the light at surfels in {path}; move what is in its way, or choose another folder with --out"
+    )]
     Store { path: PathBuf, source: std::io::Error },
     #[error(transparent)]
     Export(#[from] ExportError),

@@ -266,6 +266,26 @@ fn outputs_that_cannot_be_written_are_told_before_any_work() {
     assert!(failed["error"].as_str().unwrap().contains("another one with --out"), "{failed}");
 }
 
+#[test]
+fn names_that_are_taken_are_told_before_any_work() {
+    let folder = folder(&["cornell.glb"]);
+    std::fs::create_dir_all(folder.path().join("a/cornell.glb")).unwrap();
+    std::fs::create_dir_all(folder.path().join("b/cornell.lightmap.3.exr")).unwrap();
+    std::fs::create_dir_all(folder.path().join("c/.luxel/cornell.octree")).unwrap();
+    std::fs::create_dir(folder.path().join("d")).unwrap();
+    std::fs::write(folder.path().join("d/.luxel"), b"").unwrap();
+    for (out, taken) in
+        [("a", "cornell.glb"), ("b", "cornell.lightmap.3.exr"), ("c", "cornell.octree"), ("d", ".luxel")]
+    {
+        let output = quick(&["bake", "cornell.glb", "--out", out], folder.path());
+        assert_eq!(output.status.code(), Some(1), "{out}");
+        let said = text(&output.stderr);
+        assert!(said.contains(taken) && said.contains("--out") && !said.contains("unwrap"), "{said}");
+    }
+    // Where no light is stored, nobody needs the place.
+    succeeded(&quick(&["bake", "cornell.glb", "--out", "d", "--only", "direct"], folder.path()));
+}
+
 /// A bake that cannot fit is refused before any work; a plan says so too.
 #[cfg(target_os = "linux")]
 #[test]

@@ -87,6 +87,9 @@ fn run(request: &Request, progress: &dyn Progress) -> Result<Baked, Error> {
     let geometry = Geometry::new(&scene);
     export::probe(&request.outputs)?;
     let store = transport::Store::new(&request.outputs, &scene, settings);
+    if plan.runs(Stage::Cache) {
+        store.probe()?;
+    }
     let (lit, rays) = match &request.worker {
         Some(path) => light(&geometry, settings, &plan, &worker(path), Some(&store), &mut journal)?,
         None => light(&geometry, settings, &plan, &InProcess, Some(&store), &mut journal)?,

@@ -1,6 +1,6 @@
 //! The light at surfels: voxelized, shot, propagated, refreshed; or read back from the octree cache of the last bake.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use luxel_export::OutputSet;
 use luxel_export::report::StageState;
@@ -20,7 +20,7 @@ use luxel_transport::{
 
 use super::journal::Journal;
 use super::record::Record;
-use super::{direct, input};
+use super::{direct, export, input};
 use crate::Error;
 use crate::plan::{Plan, Stage};
 use crate::settings::{Area, Closed, DirectionSet, Rule, Settings, Voxels};
@@ -102,6 +102,23 @@ impl Store {
     pub fn new(outputs: &OutputSet, scene: &Scene, settings: &Settings) -> Self {
         let path = outputs.folder().join(".luxel").join(format!("{}.octree", outputs.stem()));
         Self { path, key: input::key(scene, settings, &KEY_STAGES, |name| KEY_SETTINGS.contains(&name)) }
+    }
+
+    /// Sees that the light can be stored, before it is made.
+    pub fn probe(&self) -> Result<(), Error> {
+        let failed = |path: &Path, what: &str| {
+            let source = std::io::Error::other(what.to_owned());
+            Err(Error::Store { path: path.into(), source })
+        };
+        let folder = self.path.parent().unwrap_or(Path::new(""));
+        if folder.exists() && !folder.is_dir() {
+            return failed(folder, "a file lies where its folder would");
+        }
+        if self.path.is_dir() {
+            return failed(&self.path, "a folder lies where its file would");
+        }
+        let writable = if folder.is_dir() { export::can_write(folder) } else { Ok(()) };
+        writable.map_err(|source| Error::Store { path: folder.into(), source })
     }
 
     /// The stored light, if it is this bake's; else a warning, if that is cause for one.
