@@ -121,6 +121,37 @@ fn wrong_usage_is_told_before_anything_is_done() {
 }
 
 #[test]
+fn machines_learn_of_wrong_usage_too() {
+    let folder = folder(&["cornell.glb"]);
+    for (args, expected) in [
+        (vec!["bake", "none.glb", "--json"], "no such file"),
+        (vec!["bake", "cornell.glb", "--json", "--preset", "darft"], "did you mean `draft`"),
+        (vec!["plan", "cornell.glb", "--json", "--config", "none.toml"], "may be read"),
+        (vec!["bake", ".", "--json", "--sky", "none.hdr"], "no such sky image"),
+    ] {
+        let output = luxel(&args, folder.path());
+        assert_eq!(output.status.code(), Some(2), "{args:?}");
+        let said = text(&output.stdout);
+        let events: Vec<Value> = said.lines().map(|l| serde_json::from_str(l).unwrap()).collect();
+        let [event] = &events[..] else { panic!("{args:?}: {said}") };
+        assert_eq!(event["event"], "usage");
+        assert!(event["error"].as_str().unwrap().contains(expected), "{event}");
+    }
+}
+
+#[test]
+fn a_scene_that_is_not_there_stops_no_other() {
+    let folder = folder(&["cornell.glb"]);
+    let output = quick(&["bake", "none.glb", "cornell.glb", "--json"], folder.path());
+    assert_eq!(output.status.code(), Some(1), "{}", text(&output.stderr));
+    let events: Vec<Value> = text(&output.stdout).lines().map(|l| serde_json::from_str(l).unwrap()).collect();
+    assert_eq!((&events[0]["event"], &events[0]["scene"]), (&"failed".into(), &"none.glb".into()));
+    let done = events.last().unwrap();
+    assert_eq!((&done["scenes"], &done["failed"]), (&2.into(), &serde_json::json!(["none.glb"])));
+    assert!(folder.path().join("baked/cornell.glb").exists());
+}
+
+#[test]
 fn a_wrong_key_beside_a_scene_fails_that_scene_with_a_suggestion() {
     let folder = folder(&["cornell.glb"]);
     std::fs::write(folder.path().join("luxel.toml"), "sise = 64").unwrap();

@@ -75,6 +75,21 @@ pub fn plan(style: Style, scene: &Path, plan: &Plan) {
     }
 }
 
+/// A scene that failed.
+pub fn failed(style: Style, scene: &Path, error: &anyhow::Error) {
+    if style != Style::Json {
+        return failure(Some(scene), error);
+    }
+    let causes: Vec<String> = error.chain().skip(1).map(ToString::to_string).collect();
+    event(&json!({ "event": "failed", "scene": written(scene), "error": error.to_string(), "causes": causes }));
+}
+
+/// The end of a command line that could not be followed, for programs.
+pub fn misused(error: &anyhow::Error) {
+    let causes: Vec<String> = error.chain().skip(1).map(ToString::to_string).collect();
+    event(&json!({ "event": "usage", "error": error.to_string(), "causes": causes }));
+}
+
 /// An error with its causes, each on its own line.
 pub fn failure(scene: Option<&Path>, error: &anyhow::Error) {
     let mut lines = error.chain().map(ToString::to_string);

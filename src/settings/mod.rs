@@ -49,6 +49,16 @@ impl Field {
         (self.set)(settings, text)
     }
 
+    /// What may be written instead of `text`: of some words the one that is meant, most likely.
+    pub fn expected(&self, text: &str) -> String {
+        let form = (self.form)();
+        let words = form.split(" | ").filter(|_| form.contains(" | "));
+        match resolve::alike(text, words) {
+            Some(word) => format!("{form}; did you mean `{word}`?"),
+            None => form,
+        }
+    }
+
     pub fn find(name: &str) -> Option<&'static Field> {
         FIELDS.iter().find(|f| f.name == name)
     }
