@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 use glam::{DAffine3, DMat3, DVec3, Vec3};
 use luxel::settings::{Preset, Settings, resolve, value::*};
 use luxel::{Error, Request, bake, bake_scene, plan_file};
-use luxel_export::OutputSet;
+use luxel_export::{ExportError, OutputSet};
 use luxel_scene::{Instance, LightKind, Material, Mesh, Scene, Silent, Sky, build::Builder};
 use proptest::prelude::*;
 use serde_json::{Value, json};
@@ -51,7 +51,7 @@ fn survives(bytes: &[u8]) {
     if let Err(error) = bake_file(&path) {
         let said = told(&error);
         assert!(!matches!(error, Error::Internal { .. }), "{said}");
-        if let Error::Import(error) = &error {
+        if let Error::Import(error) | Error::Export(ExportError::Scene(error)) = &error {
             assert!(said.contains("damaged.glb"), "{said}");
             assert!(is_place(&error.fault.place), "{said}");
             assert!(!error.fault.what.is_empty() && !error.fault.hint.is_empty(), "{said}");
