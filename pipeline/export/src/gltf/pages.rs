@@ -12,8 +12,8 @@ use serde_json::{Value, json};
 
 use super::{
     bitmap::Bitmap,
-    draft::{Draft, Target},
-    json::{Object, list, list_mut},
+    draft::{Draft, Target, follow, put_item},
+    json::{self, Object, list, list_mut},
     mismatch,
     original::Original,
     references,
@@ -36,13 +36,13 @@ pub struct Pages {
 
 impl Pages {
     pub fn new(original: &Original, list: Vec<PageTexture>) -> Self {
-        Self { list, shown: Vec::new(), old: super::json::list(&original.root, "textures").len() }
+        Self { list, shown: Vec::new(), old: json::list(&original.root, "textures").len() }
     }
 
     /// The provisional texture index of a page, and the intensity of its bytes.
     pub fn texture(&mut self, page: u32) -> Checked<(usize, f64)> {
-        let place = || mismatch("atlas", &format!("it has no page {page}"));
-        let intensity = self.list.get(page as usize).ok_or_else(place)?.bitmap.intensity;
+        let missing = || mismatch("atlas", &format!("it has no page {page}"));
+        let intensity = self.list.get(page as usize).ok_or_else(missing)?.bitmap.intensity;
         let position = self.shown.iter().position(|p| *p == page).unwrap_or_else(|| {
             self.shown.push(page);
             self.shown.len() - 1
@@ -73,21 +73,16 @@ impl Pages {
         let used: BTreeSet<usize> = textures.iter().enumerate().flat_map(stay).collect();
         let old_images = list(&draft.root, "images").len();
         let image_slots = free(&our_images, &used, &possible, old_images, self.shown.len());
-        references::lightmaps(&mut draft.root, &mut |reference| {
-            let index = reference.as_u64().and_then(|n| usize::try_from(n).ok());
-            if let Some(slot) = index.and_then(|i| i.checked_sub(self.old)).and_then(|k| slots.get(k)) {
-                *reference = (*slot).into();
-            }
-        });
+        follow(&mut draft.root, references::lightmaps, self.old, &slots);
         let sampler = sampler(&mut draft.root)?;
         for ((page, slot), image) in self.shown.iter().zip(slots).zip(image_slots) {
             let name = format!("lightmap {page}");
             let extras = json!({ "luxel": self.mark(*page) });
             let view = draft.add_view(self.list[*page as usize].bitmap.png.clone(), Target::Other);
             let picture = json!({ "name": name, "bufferView": view, "mimeType": "image/png" });
-            put(draft, "images", image, picture)?;
+            put_item(&mut draft.root, "images", image, picture)?;
             let texture = json!({ "name": name, "sampler": sampler, "source": image, "extras": extras });
-            put(draft, "textures", slot, texture)?;
+            put_item(&mut draft.root, "textures", slot, texture)?;
         }
         Ok(self.list)
     }
@@ -108,8 +103,8 @@ fn free(
 /// The images of a texture, those by extensions included.
 fn sources(texture: &Value) -> Vec<usize> {
     let extensions = texture["extensions"].as_object().into_iter().flat_map(Object::values);
-    let all = [texture].into_iter().chain(extensions).filter_map(|t| t["source"].as_u64());
-    all.filter_map(|n| usize::try_from(n).ok()).collect()
+    let all = [texture].into_iter().chain(extensions).filter_map(|t| json::index(&t["source"]));
+    all.collect()
 }
 
 /// A sampler for lightmaps: linear, no mipmaps (charts would bleed into each other), clamped. One that is there
@@ -121,14 +116,4 @@ fn sampler(root: &mut Object) -> Checked<usize> {
         samplers.push(linear);
         samplers.len() - 1
     }))
-}
-
-/// Replaces an item, or adds it at the end.
-fn put(draft: &mut Draft, key: &str, slot: usize, value: Value) -> Checked<()> {
-    let items = list_mut(&mut draft.root, key)?;
-    match items.get_mut(slot) {
-        Some(item) => *item = value,
-        None => items.push(value),
-    }
-    Ok(())
 }
