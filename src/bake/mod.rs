@@ -98,6 +98,8 @@ fn run(request: &Request, progress: &dyn Progress) -> Result<Baked, Error> {
     let mut report = report::start(&scene, &plan, &request.settings);
     let glb = export::glb(request, &original, &scene, &plan, &lit, &mut report, &mut journal)?;
     report::fill(&mut report, &scene, settings, &plan, &lit, &journal, start.elapsed().as_secs_f64());
+    // From here on the old files are replaced.
+    progress.check()?;
     let files = export::write(&request.outputs, &lit, picture.as_deref(), &glb, &key, &mut report)?;
     Ok(Baked { report, files, seconds: start.elapsed().as_secs_f64(), lit })
 }
@@ -174,8 +176,8 @@ fn light<'g>(
             (TexelLight::dark(atlas.texels.len(), plan.states_bound(settings)), transport::Facts::default())
         }
     };
-    let images = journal.run(plan, Stage::Finish, Some(0), |_, counters| {
-        let (lightmaps, bounds, report) = finish::run(scene, &atlas, &texels, settings, plan)?;
+    let images = journal.run(plan, Stage::Finish, Some(finish::STEPS), |progress, counters| {
+        let (lightmaps, bounds, report) = finish::run(scene, &atlas, &texels, settings, plan, progress)?;
         counters.insert("filled_texels".into(), report.filled.into());
         counters.insert("lost_texels".into(), report.lost.into());
         counters.insert("seam_samples".into(), report.seam_samples.into());

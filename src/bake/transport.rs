@@ -183,12 +183,16 @@ pub fn run(
     let (surfels, solution, mut record) = made(rays, &emitters, settings, plan, journal)?;
     facts.surfels = surfels.list.len() as u64;
     record.counters = STORED.map(|stage| (stage.name().to_owned(), journal.counters(stage))).into_iter().collect();
-    journal.run(plan, Stage::Cache, Some(0), |_, counters| {
+    // The tree and its file.
+    journal.run(plan, Stage::Cache, Some(2), |progress, counters| {
         let octree = Octree::new(&surfels, &solution);
         counters.insert("nodes".into(), octree.nodes().len() as u64);
+        progress.advance(1);
+        progress.check()?;
         if let Some(store) = store {
             counters.insert("bytes".into(), store.write(&octree, &record)?);
         }
+        progress.advance(1);
         Ok(())
     })?;
     facts.record = Some(record);
