@@ -13,7 +13,7 @@ use luxel_export::{ExportError, OutputSet};
 use luxel_scene::{Instance, LightKind, Material, Mesh, Scene, Silent, Sky, build::Builder};
 use proptest::prelude::*;
 use serde_json::{Value, json};
-use tool::{asset, luxel};
+use tool::{asset, luxel, parts};
 
 /// The least work that still runs every stage.
 fn tiny() -> Settings {
@@ -96,14 +96,6 @@ fn is_place(place: &str) -> bool {
         "extras",
     ];
     place.is_empty() || place.split(' ').next().is_some_and(|kind| KINDS.contains(&kind))
-}
-
-/// JSON and binary chunk of a shipped scene.
-fn parts(name: &str) -> (Value, Vec<u8>) {
-    let bytes = std::fs::read(asset(name)).unwrap();
-    let length = u32::from_le_bytes(bytes[12..16].try_into().unwrap()) as usize;
-    let (json, rest) = bytes[20..].split_at(length);
-    (serde_json::from_slice(json).unwrap(), rest[8..].to_vec())
 }
 
 fn glb(document: &Value, bin: &[u8]) -> Vec<u8> {

@@ -12,7 +12,7 @@ use luxel::settings::{
 };
 use luxel_scene::{LightKind, Material, Scene, build::Builder};
 use tempfile::TempDir;
-use tool::*;
+use tool::{Outputs, asset, luxel};
 
 /// A bake in a moment.
 const QUICK: [&str; 8] = ["--preset", "draft", "--size", "32", "--voxels", "2000", "--directions", "64"];

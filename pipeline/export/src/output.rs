@@ -232,16 +232,10 @@ fn output(path: &Path, bytes: &[u8]) -> Output {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::atomic::tests::names;
     use crate::report::SceneInfo;
     use glam::Vec3;
     use std::fs;
-
-    fn names(folder: &Path) -> Vec<String> {
-        let mut names: Vec<_> =
-            fs::read_dir(folder).unwrap().map(|e| e.unwrap().file_name().into_string().unwrap()).collect();
-        names.sort();
-        names
-    }
 
     fn write(set: &OutputSet, pages: usize) -> Report {
         let map = Lightmap::new(2, 1, vec![Vec3::ONE; 2], vec![1.0; 2]).unwrap();
