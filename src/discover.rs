@@ -13,9 +13,17 @@ pub struct Found {
     pub root: Option<PathBuf>,
 }
 
+/// What a command line means.
+#[derive(Debug, Default)]
+pub struct Search {
+    pub found: Vec<Found>,
+    /// Names that mean no scene, and why.
+    pub missing: Vec<(PathBuf, DiscoverError)>,
+}
+
 #[derive(Debug, thiserror::Error)]
 pub enum DiscoverError {
-    #[error("{0}: there is no such file or folder")]
+    #[error("{0}: there is no such file or folder; check the name")]
     Missing(PathBuf),
     #[error("{0}: no .gltf or .glb lies below this folder")]
     Empty(PathBuf),
@@ -23,31 +31,45 @@ pub enum DiscoverError {
     List { path: PathBuf, source: io::Error },
 }
 
-/// Expands files and folders, in the order of naming, folders sorted by path, no scene twice. Folders that hold
-/// outputs (`baked`, and `out` itself), hidden ones and links to folders are not entered; a .glb whose report beside it says
-/// that a bake wrote it is passed over wherever it lies.
-pub fn find(paths: &[PathBuf], out: Option<&Path>) -> Result<Vec<Found>, DiscoverError> {
-    let mut found: Vec<Found> = Vec::new();
+/// Expands files and folders, in the order of naming, folders sorted by path, no scene twice. Folders that hold outputs
+/// (`baked`, and `out` itself), hidden ones and links to folders are not entered; a .glb whose report beside it says that
+/// a bake wrote it is passed over wherever it lies. A name that means no scene stops no other.
+///
+/// # Errors
+/// No name means a scene: what is wrong with the first.
+pub fn find(paths: &[PathBuf], out: Option<&Path>) -> Result<Search, DiscoverError> {
+    let mut search = Search::default();
     let out = out.and_then(|o| o.canonicalize().ok());
     for path in paths {
-        let scenes = if path.is_dir() {
-            let scenes = below(path, out.as_deref())?;
-            if scenes.is_empty() {
-                return Err(DiscoverError::Empty(path.clone()));
+        match named(path, out.as_deref()) {
+            Ok(scenes) => {
+                for scene in scenes {
+                    if !search.found.iter().any(|f| f.scene == scene.scene) {
+                        search.found.push(scene);
+                    }
+                }
             }
-            scenes.into_iter().map(|scene| Found { scene, root: Some(path.clone()) }).collect()
-        } else if path.exists() {
-            vec![Found { scene: path.clone(), root: None }]
-        } else {
-            return Err(DiscoverError::Missing(path.clone()));
-        };
-        for scene in scenes {
-            if !found.iter().any(|f| f.scene == scene.scene) {
-                found.push(scene);
-            }
+            Err(error) if search.missing.iter().any(|(p, _)| p == path) => drop(error),
+            Err(error) => search.missing.push((path.clone(), error)),
         }
     }
-    Ok(found)
+    if search.found.is_empty() && !search.missing.is_empty() {
+        return Err(search.missing.swap_remove(0).1);
+    }
+    Ok(search)
+}
+
+/// The scenes of one name.
+fn named(path: &Path, out: Option<&Path>) -> Result<Vec<Found>, DiscoverError> {
+    if !path.is_dir() {
+        let found = Found { scene: path.into(), root: None };
+        return if path.exists() { Ok(vec![found]) } else { Err(DiscoverError::Missing(path.into())) };
+    }
+    let scenes = below(path, out)?;
+    if scenes.is_empty() {
+        return Err(DiscoverError::Empty(path.into()));
+    }
+    Ok(scenes.into_iter().map(|scene| Found { scene, root: Some(path.into()) }).collect())
 }
 
 fn below(root: &Path, out: Option<&Path>) -> Result<Vec<PathBuf>, DiscoverError> {
@@ -91,11 +113,11 @@ mod tests {
             std::fs::write(at(name), "").unwrap();
         }
         let root = folder.path().to_path_buf();
-        let found = find(&[root.clone(), at("b.glb")], Some(&at("out"))).unwrap();
+        let found = find(&[root.clone(), at("b.glb")], Some(&at("out"))).unwrap().found;
         let scenes: Vec<_> = found.iter().map(|f| f.scene.clone()).collect();
         assert_eq!(scenes, [at("a/c.GLTF"), at("b.glb")]);
         assert!(found.iter().all(|f| f.root.as_ref() == Some(&root)));
-        assert_eq!(find(&[at("baked/b.glb")], None).unwrap()[0].root, None, "a named file is taken as it is");
+        assert_eq!(find(&[at("baked/b.glb")], None).unwrap().found[0].root, None, "a named file is taken as it is");
     }
 
     #[test]
@@ -114,7 +136,7 @@ mod tests {
         };
         crate::bake(&request, &luxel_scene::Silent).unwrap();
         assert!(out.join("level.glb").exists());
-        let found = find(&[folder.path().to_path_buf()], None).unwrap();
+        let found = find(&[folder.path().to_path_buf()], None).unwrap().found;
         assert_eq!(found.len(), 1, "{found:?}");
         assert_eq!(found[0].scene, scene);
     }
@@ -125,5 +147,11 @@ mod tests {
         let error = |path: PathBuf| find(&[path], None).unwrap_err().to_string();
         assert!(error(folder.path().into()).contains("no .gltf or .glb"));
         assert!(error(folder.path().join("x.glb")).contains("no such file"));
+        let there = folder.path().join("y.glb");
+        std::fs::write(&there, "").unwrap();
+        let gone = folder.path().join("x.glb");
+        let search = find(&[gone.clone(), there.clone(), gone.clone()], None).unwrap();
+        assert!(search.found.len() == 1 && search.found[0].scene == there);
+        assert!(search.missing.len() == 1 && search.missing[0].0 == gone);
     }
 }

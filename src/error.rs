@@ -30,10 +30,17 @@ pub enum Error {
     Octree(#[from] OctreeError),
     #[error("cannot write to the folder {path}; choose another one with --out")]
     Folder { path: PathBuf, source: std::io::Error },
-    #[error("cannot store the light at surfels in {path}; choose another folder with --out")]
+    #[error(
+        "cannot store the light at surfels in {path}; move what is in its way, or choose another folder with --out"
+    )]
     Store { path: PathBuf, source: std::io::Error },
     #[error(transparent)]
     Export(#[from] ExportError),
+    #[error(
+        "the bake needs about {needed} MiB of memory, more than the {most} MiB that can be had; the largest part are \
+         {part} ({part_needs} MiB): {remedy}, or give luxel more memory (swap counts)"
+    )]
+    Memory { needed: u64, most: u64, part: &'static str, part_needs: u64, remedy: &'static str },
     #[error("cannot start {threads} threads; try fewer with --threads")]
     Threads { threads: u32, source: rayon::ThreadPoolBuildError },
     /// A fault of luxel: something panicked. Other scenes are not concerned.

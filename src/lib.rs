@@ -8,13 +8,13 @@
 //! | import | files → `Scene` | a file that was read changes | never |
 //! | unwrap | `Scene` → `Atlas` | geometry, authored TEXCOORD_1, size, density, padding | nothing receives light |
 //! | rays | geometry → `Rays` | geometry, holes | there is no light |
-//! | surfels | geometry, materials → `Surfels` | geometry, materials, voxels | light does not bounce, or is not wanted |
-//! | shoot | lights, `Surfels` → direct irradiance at surfels | lights, surfels, shadow samples, photons | the sky is the only light |
-//! | propagate | direct irradiance → `Solution` | the above, sky, directions, bounces, tolerance | as surfels |
+//! | surfels | geometry, materials → `Surfels` | geometry, materials, voxels, area | light does not bounce, or is not wanted |
+//! | shoot | lights, `Surfels` → direct irradiance at surfels | lights, surfels, shadow samples, photons; with very many emissive surfaces cut error, cut limit, near rays | the sky is the only light |
+//! | propagate | direct irradiance → `Solution` | the above, sky, directions, direction set, rule, closed, bounces, tolerance | as surfels |
 //! | refresh | rays, `Solution` → `Solution` gathered anew | the above, refresh rays | switched off, and as surfels |
 //! | cache | `Solution` → octree file | the above | as surfels |
 //! | clear | rays, `Atlas` → buried texels moved or marked | geometry, atlas | there is no light |
-//! | direct | `Atlas`, lights → E at texels | geometry, lights, atlas, shadow samples | no lamp, sun or emissive surface |
+//! | direct | `Atlas`, lights → E at texels | geometry, lights, atlas, shadow samples; with very many emissive surfaces cut error, cut limit, near rays | no lamp, sun or emissive surface |
 //! | sky | `Atlas`, sky → E at texels | geometry, sky, atlas, sky rays | there is no sky |
 //! | gather | `Atlas`, `Solution` → E at texels | solution, atlas, gather settings | as surfels |
 //! | finish | E at texels → `Lightmap`s | any of the above | nothing receives light |

@@ -1,12 +1,15 @@
 //! What a scene needs, and what it does not: decided once, before any work, and obeyed by the bake.
 //!
-//! A [`Plan`] is a pure function of scene and settings. It lists every stage with the reason why it runs or is left
-//! out, and estimates the memory that the bake takes beyond the scene.
+//! [`Plan::new`] is a pure function of scene and settings. It lists every stage with the reason why it runs or is left
+//! out, and estimates the memory that the bake takes beyond the scene. What lies in files is added to it afterwards:
+//! stages whose result is stored ([`Plan::reuse`]).
 
+use luxel_atlas::AtlasSettings;
+use luxel_export::report::Warning;
 use luxel_scene::{LightKind, Material, Scene};
 use serde::Serialize;
 
-use crate::settings::{GatherMode, Only, Settings, Voxels};
+use crate::settings::{Gatherer, Only, Settings, Voxels};
 
 /// The chain of a bake, in order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
@@ -67,9 +70,7 @@ impl Stage {
             Self::Export => "export",
         }
     }
-}
 
-impl Stage {
     /// Version of what the stage makes. Raise it here whenever the stage makes something else of the same input:
     /// stored light of an older version is then made anew instead of being taken for this one's.
     pub fn version(self) -> u32 {
@@ -134,11 +135,13 @@ pub struct Memory {
     pub surfels: u64,
     pub texels: u64,
     pub images: u64,
+    /// The scene's own buffers and images, which the export writes again.
+    pub files: u64,
 }
 
 impl Memory {
     pub fn total(&self) -> u64 {
-        [self.rays, self.surfels, self.texels, self.images].into_iter().fold(0, u64::saturating_add)
+        [self.rays, self.surfels, self.texels, self.images, self.files].into_iter().fold(0, u64::saturating_add)
     }
 }
 
@@ -148,6 +151,8 @@ pub struct Plan {
     pub facts: Facts,
     pub steps: Vec<Step>,
     pub memory: Memory,
+    /// What a person should know of the scene.
+    pub warnings: Vec<Warning>,
 }
 
 impl Plan {
@@ -162,11 +167,35 @@ impl Plan {
             .collect();
         let runs = |stage| steps.iter().any(|s| s.stage == stage && s.runs);
         let memory = memory(&facts, scene, settings, &runs);
-        Self { facts, steps, memory }
+        let warnings = scene.notices.iter().map(Warning::from).collect();
+        Self { facts, steps, memory, warnings }
     }
 
     pub fn runs(&self, stage: Stage) -> bool {
         self.steps.iter().any(|s| s.stage == stage && s.runs)
+    }
+
+    /// A map of stated bounds is wanted and can be had: the gather runs, in a mode that states one.
+    pub fn states_bound(&self, settings: &Settings) -> bool {
+        settings.bound && settings.states_bound() && self.runs(Stage::Gather)
+    }
+
+    /// Counts the bytes of the files that the export writes again.
+    pub fn weigh(&mut self, file_bytes: u64) {
+        self.memory.files = file_bytes.saturating_mul(COPIES);
+    }
+
+    /// The memory without what an atlas cannot have: no more pages than receivers, and no more than luxel makes. Objects
+    /// that a texel density makes larger than a page get less of it.
+    pub fn least_memory(&self, settings: &Settings) -> Memory {
+        let side = u64::from(settings.size.0);
+        let pages = (self.facts.receivers as u64).min(AtlasSettings::default().max_pages.into());
+        let pixels = pages.saturating_mul(side * side);
+        Memory {
+            texels: self.memory.texels.min(texel_bytes(pixels)),
+            images: self.memory.images.min(image_bytes(pixels)),
+            ..self.memory
+        }
     }
 
     /// Marks a stage that the bake needs as one that it will not run anew.
@@ -304,7 +333,7 @@ fn decide(stage: Stage, facts: &Facts, settings: &Settings) -> Result<String, St
         Stage::Direct => Ok(facts.sources()),
         Stage::Sky if !facts.sky => no("there is no sky"),
         Stage::Sky if settings.only == Only::Direct => no("only direct light is wanted"),
-        Stage::Sky if settings.gather_mode() == GatherMode::Lookup && !facts.black => {
+        Stage::Sky if settings.gatherer() == Gatherer::Lookup && !facts.black => {
             no("the cache that is looked up holds the sky's light")
         }
         Stage::Sky => Ok(format!("{} rays per texel", settings.sky_rays.0)),
@@ -326,10 +355,10 @@ fn decide(stage: Stage, facts: &Facts, settings: &Settings) -> Result<String, St
         Stage::Refresh if settings.refresh.0 == 0 => no("switched off"),
         Stage::Refresh => Ok(format!("{} rays per surfel", settings.refresh.0)),
         Stage::Cache => yes("octree of the light at surfels"),
-        Stage::Gather => Ok(match settings.gather_mode() {
-            GatherMode::Lookup => "looked up in the cache".into(),
-            GatherMode::Final => format!("{} rays per texel", settings.gather_rays.0),
-            GatherMode::Lightcuts | GatherMode::Auto => {
+        Stage::Gather => Ok(match settings.gatherer() {
+            Gatherer::Lookup => "looked up in the cache".into(),
+            Gatherer::Final => format!("{} rays per texel", settings.gather_rays.0),
+            Gatherer::Lightcuts => {
                 format!("lightcuts to {} % of a texel's light", settings.cut_error.0 * 100.0)
             }
         }),
@@ -345,14 +374,15 @@ const SURFEL: u64 = 235;
 const TEXEL: u64 = 61;
 /// Per pixel of a page: the finished images and what the encoders hold.
 const PIXEL: u64 = 42;
+/// Times that the bytes of the scene's files exist when they are written again: as read, laid out, and as a .glb.
+const COPIES: u64 = 3;
 /// The picture and what else does not grow with the scene.
 const FIXED: u64 = 12 << 20;
 
 /// Figures beyond all measure saturate: what asks for that much is refused by its stage, not by the estimate.
 fn memory(facts: &Facts, scene: &Scene, settings: &Settings, runs: &dyn Fn(Stage) -> bool) -> Memory {
     let side = u64::from(settings.size.0);
-    // Whole atlases; charts cover about three quarters of one, and nine tenths of its
-    // pixels are texels, partly covered ones included.
+    // Whole atlases, of which charts cover about three quarters.
     let pixels = match settings.texel_density.0 {
         Some(density) => {
             let texels = facts.area * f64::from(density) * f64::from(density) / 0.75;
@@ -369,9 +399,19 @@ fn memory(facts: &Facts, scene: &Scene, settings: &Settings, runs: &dyn Fn(Stage
     Memory {
         rays: when(Stage::Rays, (facts.triangles as u64).saturating_mul(RAY_TRIANGLE)),
         surfels: when(Stage::Surfels, surfels.saturating_mul(SURFEL)),
-        texels: when(Stage::Unwrap, (pixels / 10 * 9).saturating_mul(TEXEL)),
-        images: when(Stage::Finish, pixels.saturating_mul(PIXEL).saturating_add(FIXED)),
+        texels: when(Stage::Unwrap, texel_bytes(pixels)),
+        images: when(Stage::Finish, image_bytes(pixels)),
+        files: 0,
     }
+}
+
+/// Nine tenths of the pixels of a page are texels, partly covered ones included.
+fn texel_bytes(pixels: u64) -> u64 {
+    (pixels / 10 * 9).saturating_mul(TEXEL)
+}
+
+fn image_bytes(pixels: u64) -> u64 {
+    pixels.saturating_mul(PIXEL).saturating_add(FIXED)
 }
 
 /// Surfels of edge `edge` on the scene's area; a plane cuts about 1.5 times as many voxels as its area would fill.
@@ -466,6 +506,22 @@ mod tests {
             total(Settings { texel_density, voxels: Voxels::Edge(f32::MIN_POSITIVE), ..Settings::default() }),
             u64::MAX
         );
+    }
+
+    #[test]
+    fn an_atlas_has_no_more_pages_than_receivers() {
+        let scene = room(Vec3::splat(0.5), Vec3::ONE);
+        let of = |density| {
+            let settings = Settings { texel_density: OrAuto(Some(density)), ..Settings::default() };
+            let plan = Plan::new(&scene, &settings);
+            (plan.least_memory(&settings), plan.memory)
+        };
+        let (least, estimate) = of(1.0);
+        assert_eq!(least, estimate);
+        // Two objects on a page each, whatever their density.
+        let (least, estimate) = of(1e9);
+        assert!(least.texels < estimate.texels && least.texels == texel_bytes(2 << 20));
+        assert_eq!(least.images, image_bytes(2 << 20));
     }
 
     #[test]

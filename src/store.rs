@@ -61,7 +61,7 @@ pub enum Miss {
 /// Writes `body` under `key`, whole or not at all.
 pub fn write(path: &Path, format: Format, key: &Key, body: &[u8]) -> std::io::Result<()> {
     luxel_export::write_atomic_parts(path, &[&header(format, key, body), body]).map_err(|error| match error {
-        ExportError::Io { source, .. } => source,
+        ExportError::Io { cause, .. } => cause,
         error => std::io::Error::other(error),
     })
 }

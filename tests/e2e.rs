@@ -3,39 +3,10 @@
 mod tool;
 
 use std::path::Path;
-use std::process::{Command, Output};
+use std::process::Command;
 
 use serde_json::Value;
-use tempfile::TempDir;
-use tool::{asset, files};
-
-/// Settings with which a shipped scene bakes in a moment.
-const QUICK: [&str; 8] = ["--preset", "draft", "--size", "64", "--voxels", "3000", "--directions", "64"];
-
-fn luxel(args: &[&str], folder: &Path) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_luxel")).args(args).current_dir(folder).output().unwrap()
-}
-
-fn quick(args: &[&str], folder: &Path) -> Output {
-    luxel(&[args, &QUICK].concat(), folder)
-}
-
-/// A folder with copies of shipped scenes.
-fn folder(scenes: &[&str]) -> TempDir {
-    let folder = tempfile::tempdir().unwrap();
-    for scene in scenes {
-        std::fs::copy(asset(scene), folder.path().join(scene)).unwrap();
-    }
-    folder
-}
-
-fn text(bytes: &[u8]) -> String {
-    String::from_utf8(bytes.to_vec()).unwrap()
-}
-
-fn succeeded(output: &Output) {
-    assert_eq!(output.status.code(), Some(0), "{}{}", text(&output.stdout), text(&output.stderr));
-}
+use tool::*;
 
 fn names(folder: &Path) -> Vec<String> {
     files(folder).into_keys().collect()
@@ -44,7 +15,7 @@ fn names(folder: &Path) -> Vec<String> {
 #[test]
 fn a_bake_leaves_four_files_that_belong_together() {
     let folder = folder(&["cornell.glb"]);
-    succeeded(&quick(&["bake", "cornell.glb"], folder.path()));
+    quick(&["bake", "cornell.glb"], folder.path()).ended(0);
     let baked = folder.path().join("baked");
     assert_eq!(names(&baked), ["cornell.bake.json", "cornell.glb", "cornell.lightmap.exr", "cornell.preview.png"]);
 
@@ -67,10 +38,8 @@ fn a_bake_leaves_four_files_that_belong_together() {
 fn the_number_of_threads_changes_no_byte() {
     let bake = |threads: &str| {
         let folder = folder(&["textured_room.glb"]);
-        succeeded(&quick(
-            &["bake", "textured_room.glb", "--threads", threads, "--gather", "lightcuts", "--bound"],
-            folder.path(),
-        ));
+        quick(&["bake", "textured_room.glb", "--threads", threads, "--gather", "lightcuts", "--bound"], folder.path())
+            .ended(0);
         let mut files = files(&folder.path().join("baked"));
         // The report holds times.
         files.remove("textured_room.bake.json").unwrap();
@@ -88,14 +57,14 @@ fn the_number_of_threads_changes_no_byte() {
 #[test]
 fn a_scene_that_fails_is_named_and_stops_no_other() {
     let folder = folder(&["cornell.glb"]);
-    succeeded(&quick(&["bake", "cornell.glb"], folder.path()));
+    quick(&["bake", "cornell.glb"], folder.path()).ended(0);
     let before = files(&folder.path().join("baked"));
     std::fs::write(folder.path().join("cornell.glb"), b"glTF but not for long").unwrap();
     std::fs::copy(asset("two_rooms.glb"), folder.path().join("z.glb")).unwrap();
 
     let output = quick(&["bake", "."], folder.path());
-    assert_eq!(output.status.code(), Some(1));
-    let said = text(&output.stderr);
+    assert_eq!(output.code, Some(1));
+    let said = output.stderr;
     assert!(said.contains("1 of 2 scenes failed") && said.contains("cornell.glb"), "{said}");
     let after = files(&folder.path().join("baked"));
     assert!(after.contains_key("z.lightmap.exr"), "the other scene is baked");
@@ -114,10 +83,41 @@ fn wrong_usage_is_told_before_anything_is_done() {
         (vec!["bake", "cornell.glb", "--out", "."], "would replace the scene"),
     ] {
         let output = luxel(&args, folder.path());
-        assert_eq!(output.status.code(), Some(2), "{args:?}");
-        assert!(text(&output.stderr).contains(expected), "{args:?}: {}", text(&output.stderr));
+        assert_eq!(output.code, Some(2), "{args:?}");
+        assert!(output.stderr.contains(expected), "{args:?}: {}", output.stderr);
     }
     assert_eq!(names(folder.path()), ["cornell.glb"]);
+}
+
+#[test]
+fn machines_learn_of_wrong_usage_too() {
+    let folder = folder(&["cornell.glb"]);
+    for (args, expected) in [
+        (vec!["bake", "none.glb", "--json"], "no such file"),
+        (vec!["bake", "cornell.glb", "--json", "--preset", "darft"], "did you mean `draft`"),
+        (vec!["plan", "cornell.glb", "--json", "--config", "none.toml"], "may be read"),
+        (vec!["bake", ".", "--json", "--sky", "none.hdr"], "no such sky image"),
+    ] {
+        let output = luxel(&args, folder.path());
+        assert_eq!(output.code, Some(2), "{args:?}");
+        let said = output.stdout;
+        let events: Vec<Value> = said.lines().map(|l| serde_json::from_str(l).unwrap()).collect();
+        let [event] = &events[..] else { panic!("{args:?}: {said}") };
+        assert_eq!(event["event"], "usage");
+        assert!(event["error"].as_str().unwrap().contains(expected), "{event}");
+    }
+}
+
+#[test]
+fn a_scene_that_is_not_there_stops_no_other() {
+    let folder = folder(&["cornell.glb"]);
+    let output = quick(&["bake", "none.glb", "cornell.glb", "--json"], folder.path());
+    assert_eq!(output.code, Some(1), "{}", output.stderr);
+    let events: Vec<Value> = output.stdout.lines().map(|l| serde_json::from_str(l).unwrap()).collect();
+    assert_eq!((&events[0]["event"], &events[0]["scene"]), (&"failed".into(), &"none.glb".into()));
+    let done = events.last().unwrap();
+    assert_eq!((&done["scenes"], &done["failed"]), (&2.into(), &serde_json::json!(["none.glb"])));
+    assert!(folder.path().join("baked/cornell.glb").exists());
 }
 
 #[test]
@@ -125,8 +125,8 @@ fn a_wrong_key_beside_a_scene_fails_that_scene_with_a_suggestion() {
     let folder = folder(&["cornell.glb"]);
     std::fs::write(folder.path().join("luxel.toml"), "sise = 64").unwrap();
     let output = luxel(&["bake", "cornell.glb"], folder.path());
-    assert_eq!(output.status.code(), Some(1));
-    let said = text(&output.stderr);
+    assert_eq!(output.code, Some(1));
+    let said = output.stderr;
     assert!(said.contains("luxel.toml") && said.contains("did you mean `size`?"), "{said}");
 }
 
@@ -136,7 +136,7 @@ fn a_folder_is_mirrored_and_its_outputs_are_no_scenes() {
     std::fs::create_dir_all(folder.path().join("levels/deep")).unwrap();
     std::fs::copy(asset("cornell.glb"), folder.path().join("levels/deep/a.glb")).unwrap();
     for _ in 0..2 {
-        succeeded(&quick(&["bake", "levels", "--out", "levels/lit"], folder.path()));
+        quick(&["bake", "levels", "--out", "levels/lit"], folder.path()).ended(0);
     }
     let lit = names(&folder.path().join("levels/lit"));
     assert!(lit.contains(&"deep/a.glb".to_owned()) && lit.iter().all(|n| n.starts_with("deep/a.")), "{lit:?}");
@@ -145,10 +145,9 @@ fn a_folder_is_mirrored_and_its_outputs_are_no_scenes() {
 #[test]
 fn machines_read_one_object_per_line_and_nothing_else() {
     let folder = folder(&["cornell.glb"]);
-    let output = quick(&["bake", "cornell.glb", "--json"], folder.path());
-    succeeded(&output);
-    assert_eq!(text(&output.stderr), "");
-    let events: Vec<Value> = text(&output.stdout).lines().map(|l| serde_json::from_str(l).unwrap()).collect();
+    let output = quick(&["bake", "cornell.glb", "--json"], folder.path()).ended(0);
+    assert_eq!(output.stderr, "");
+    let events: Vec<Value> = output.stdout.lines().map(|l| serde_json::from_str(l).unwrap()).collect();
     assert_eq!(events.last().unwrap()["event"], "done");
     let baked = events.iter().find(|e| e["event"] == "baked").unwrap();
     assert_eq!(baked["outputs"].as_array().unwrap().len(), 4);
@@ -182,23 +181,21 @@ fn an_interrupted_bake_says_so_and_leaves_nothing() {
 #[test]
 fn quiet_is_quiet() {
     let folder = folder(&["cornell.glb"]);
-    let output = quick(&["bake", "cornell.glb", "--quiet"], folder.path());
-    succeeded(&output);
-    assert!(output.stdout.is_empty() && output.stderr.is_empty(), "{}", text(&output.stderr));
+    let output = quick(&["bake", "cornell.glb", "--quiet"], folder.path()).ended(0);
+    assert!(output.stdout.is_empty() && output.stderr.is_empty(), "{}", output.stderr);
 }
 
 #[test]
 fn the_plan_tells_every_stage_and_writes_nothing() {
     let folder = folder(&["colonnade.glb"]);
-    let output = luxel(&["plan", "colonnade.glb"], folder.path());
-    succeeded(&output);
-    let said = text(&output.stdout);
+    let output = luxel(&["plan", "colonnade.glb"], folder.path()).ended(0);
+    let said = output.stdout;
     for stage in luxel::plan::Stage::ALL {
         assert!(said.lines().any(|l| l.trim_start().starts_with(stage.name())), "{}: {said}", stage.name());
     }
     assert!(said.contains("1 sun") && said.contains("MiB"), "{said}");
     let output = luxel(&["plan", "colonnade.glb", "--json", "--sky", "none"], folder.path());
-    let said = text(&output.stdout);
+    let said = output.stdout;
     let event: Value = serde_json::from_str(said.lines().find(|l| l.contains("\"plan\"")).unwrap()).unwrap();
     let steps = event["plan"]["steps"].as_array().unwrap();
     let sky = steps.iter().find(|s| s["stage"] == "sky").unwrap();
@@ -207,23 +204,46 @@ fn the_plan_tells_every_stage_and_writes_nothing() {
 }
 
 #[test]
+fn the_plan_says_what_a_bake_would_say_of_the_scene() {
+    let folder = folder(&[]);
+    let mut document: Value = serde_json::json!({"asset": {"version": "2.0"}, "scenes": [{"nodes": [0]}]});
+    document["nodes"] = serde_json::json!([{"mesh": 0, "extras": {"luxel_scal": 2}}]);
+    document["meshes"] = serde_json::json!([{"primitives": [{"attributes": {"POSITION": 0}}]}]);
+    document["accessors"] = serde_json::json!([{"bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC3",
+        "min": [0, 0, 0], "max": [1, 1, 0]}]);
+    document["bufferViews"] = serde_json::json!([{"buffer": 0, "byteLength": 36}]);
+    document["buffers"] = serde_json::json!([{"byteLength": 36, "uri": "a.bin"}]);
+    std::fs::write(folder.path().join("a.gltf"), document.to_string()).unwrap();
+    let corners = [[0.0f32, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]];
+    let bytes: Vec<u8> = corners.iter().flatten().flat_map(|x| x.to_le_bytes()).collect();
+    std::fs::write(folder.path().join("a.bin"), bytes).unwrap();
+    let output = quick(&["plan", "a.gltf"], folder.path()).ended(0);
+    let said = output.stderr;
+    assert!(said.contains("--sky") && said.contains("luxel_scal"), "{said}");
+    let output = quick(&["plan", "a.gltf", "--json"], folder.path());
+    let said = output.stdout;
+    let event: Value = serde_json::from_str(said.lines().find(|l| l.contains("\"plan\"")).unwrap()).unwrap();
+    let codes: Vec<_> = event["plan"]["warnings"].as_array().unwrap().iter().map(|w| w["code"].clone()).collect();
+    assert!(codes.contains(&"no-light".into()) && codes.contains(&"unknown-extra".into()), "{codes:?}");
+}
+
+#[test]
 fn the_plan_knows_what_is_stored() {
     let folder = folder(&["cornell.glb"]);
     let states = |flags: &[&str]| {
-        let output = quick(&[&["plan", "cornell.glb", "--json"], flags].concat(), folder.path());
-        succeeded(&output);
-        let said = text(&output.stdout);
+        let output = quick(&[&["plan", "cornell.glb", "--json"], flags].concat(), folder.path()).ended(0);
+        let said = output.stdout;
         let event: Value = serde_json::from_str(said.lines().find(|l| l.contains("\"plan\"")).unwrap()).unwrap();
         let steps = event["plan"]["steps"].as_array().unwrap().clone();
         let reused = steps.iter().filter(|s| s["reused"] == true).map(|s| s["stage"].as_str().unwrap().to_owned());
         reused.collect::<Vec<_>>()
     };
     assert!(states(&[]).is_empty());
-    succeeded(&quick(&["bake", "cornell.glb"], folder.path()));
+    quick(&["bake", "cornell.glb"], folder.path()).ended(0);
     assert_eq!(states(&[]), ["surfels", "shoot", "propagate", "cache"]);
     assert!(states(&["--light-scale", "2"]).is_empty(), "other light is another solution");
     assert!(states(&["--out", "elsewhere"]).is_empty());
-    let said = text(&quick(&["plan", "cornell.glb"], folder.path()).stdout);
+    let said = quick(&["plan", "cornell.glb"], folder.path()).stdout;
     assert!(said.lines().any(|l| l.contains("propagate") && l.contains("reused")), "{said}");
     assert!(!folder.path().join("elsewhere").exists());
 }
@@ -233,12 +253,55 @@ fn outputs_that_cannot_be_written_are_told_before_any_work() {
     let folder = folder(&["cornell.glb"]);
     // A folder within a file cannot be made, whoever runs this.
     let output = quick(&["bake", "cornell.glb", "--json", "--out", "cornell.glb/x"], folder.path());
-    assert_eq!(output.status.code(), Some(1));
-    let events: Vec<Value> = text(&output.stdout).lines().map(|l| serde_json::from_str(l).unwrap()).collect();
+    assert_eq!(output.code, Some(1));
+    let events: Vec<Value> = output.stdout.lines().map(|l| serde_json::from_str(l).unwrap()).collect();
     let started: Vec<_> = events.iter().filter(|e| e["event"] == "started").map(|e| e["stage"].clone()).collect();
     assert_eq!(started, ["import"]);
     let failed = events.iter().find(|e| e["event"] == "failed").unwrap();
     assert!(failed["error"].as_str().unwrap().contains("another one with --out"), "{failed}");
+}
+
+#[test]
+fn names_that_are_taken_are_told_before_any_work() {
+    let folder = folder(&["cornell.glb"]);
+    std::fs::create_dir_all(folder.path().join("a/cornell.glb")).unwrap();
+    std::fs::create_dir_all(folder.path().join("b/cornell.lightmap.3.exr")).unwrap();
+    std::fs::create_dir_all(folder.path().join("c/.luxel/cornell.octree")).unwrap();
+    std::fs::create_dir(folder.path().join("d")).unwrap();
+    std::fs::write(folder.path().join("d/.luxel"), b"").unwrap();
+    for (out, taken) in
+        [("a", "cornell.glb"), ("b", "cornell.lightmap.3.exr"), ("c", "cornell.octree"), ("d", ".luxel")]
+    {
+        let output = quick(&["bake", "cornell.glb", "--out", out], folder.path());
+        assert_eq!(output.code, Some(1), "{out}");
+        let said = output.stderr;
+        assert!(said.contains(taken) && said.contains("--out") && !said.contains("unwrap"), "{said}");
+    }
+    // Where no light is stored, nobody needs the place.
+    quick(&["bake", "cornell.glb", "--out", "d", "--only", "direct"], folder.path()).ended(0);
+}
+
+/// A bake that cannot fit is refused before any work; a plan says so too.
+#[cfg(target_os = "linux")]
+#[test]
+fn a_bake_that_does_not_fit_into_memory_is_refused() {
+    let folder = folder(&["cornell.glb"]);
+    let limited = |task: &str| {
+        let command =
+            format!("ulimit -v 600000; exec \"$0\" {task} cornell.glb --preset draft --size 16384 --voxels 1000");
+        let mut shell = Command::new("sh");
+        shell.args(["-c", &command, env!("CARGO_BIN_EXE_luxel")]).current_dir(folder.path());
+        let output = shell.output().unwrap();
+        (output.status.code(), String::from_utf8(output.stderr).unwrap())
+    };
+    let (code, said) = limited("bake");
+    assert!(
+        code == Some(1) && said.contains("MiB") && said.contains("the texels") && said.contains("--size"),
+        "{said}"
+    );
+    assert_eq!(names(folder.path()), ["cornell.glb"]);
+    let (code, said) = limited("plan");
+    assert!(code == Some(0) && said.contains("note: ") && said.contains("--size"), "{said}");
 }
 
 /// Names that are no Unicode: below a folder everything works, as a scene's own name it costs that scene.
@@ -251,11 +314,9 @@ fn names_that_are_not_unicode_stop_nothing_else() {
     std::fs::create_dir(&odd).unwrap();
     std::fs::copy(asset("cornell.glb"), odd.join("a.glb")).unwrap();
     let bad = std::ffi::OsStr::from_bytes(b"b\xff.glb");
-    let output = quick(&["bake", ".", "--json"], folder.path());
-    succeeded(&output);
-    let plan = quick(&["plan", ".", "--json"], folder.path());
-    succeeded(&plan);
-    for line in text(&[output.stdout, plan.stdout].concat()).lines() {
+    let output = quick(&["bake", ".", "--json"], folder.path()).ended(0);
+    let plan = quick(&["plan", ".", "--json"], folder.path()).ended(0);
+    for line in [output.stdout, plan.stdout].concat().lines() {
         let event: Value = serde_json::from_str(line).unwrap();
         assert!(event["event"].is_string(), "{line}");
     }
@@ -264,21 +325,21 @@ fn names_that_are_not_unicode_stop_nothing_else() {
     std::fs::copy(asset("cornell.glb"), odd.join(bad)).unwrap();
     std::fs::remove_dir_all(odd.join("baked")).unwrap();
     let output = quick(&["bake", ".", "--json"], folder.path());
-    assert_eq!(output.status.code(), Some(1), "{}", text(&output.stderr));
-    let done: Value = serde_json::from_str(text(&output.stdout).lines().last().unwrap()).unwrap();
+    assert_eq!(output.code, Some(1), "{}", output.stderr);
+    let done: Value = serde_json::from_str(output.stdout.lines().last().unwrap()).unwrap();
     assert_eq!((&done["event"], &done["scenes"]), (&"done".into(), &2.into()));
     assert_eq!(done["failed"].as_array().unwrap().len(), 1);
     assert!(odd.join("baked/a.lightmap.exr").exists(), "the other scene is baked");
 
     let named = Command::new(env!("CARGO_BIN_EXE_luxel")).arg("bake").arg(odd.join(bad)).output().unwrap();
-    assert_eq!(named.status.code(), Some(2), "{}", text(&named.stderr));
+    assert_eq!(named.status.code(), Some(2), "{}", String::from_utf8_lossy(&named.stderr));
 }
 
 #[test]
 fn a_scene_without_geometry_is_told_so_and_not_about_light() {
     let folder = folder(&[]);
     std::fs::write(folder.path().join("e.gltf"), r#"{"asset":{"version":"2.0"},"scenes":[{}]}"#).unwrap();
-    succeeded(&quick(&["bake", "e.gltf"], folder.path()));
+    quick(&["bake", "e.gltf"], folder.path()).ended(0);
     let report: Value =
         serde_json::from_slice(&std::fs::read(folder.path().join("baked/e.bake.json")).unwrap()).unwrap();
     let codes: Vec<_> = report["warnings"].as_array().unwrap().iter().map(|w| w["code"].as_str().unwrap()).collect();
@@ -288,7 +349,6 @@ fn a_scene_without_geometry_is_told_so_and_not_about_light() {
 #[test]
 fn the_defaults_can_be_had_as_a_file() {
     let folder = folder(&[]);
-    let output = luxel(&["defaults"], folder.path());
-    succeeded(&output);
-    assert_eq!(output.stdout, std::fs::read(asset("luxel.toml")).unwrap());
+    let output = luxel(&["defaults"], folder.path()).ended(0);
+    assert_eq!(output.stdout, std::fs::read_to_string(asset("luxel.toml")).unwrap());
 }

@@ -9,11 +9,11 @@ use std::time::{Duration, Instant};
 use glam::{DAffine3, DMat3, DVec3, Vec3};
 use luxel::settings::{Preset, Settings, resolve, value::*};
 use luxel::{Error, Request, bake, bake_scene, plan_file};
-use luxel_export::OutputSet;
+use luxel_export::{ExportError, OutputSet};
 use luxel_scene::{Instance, LightKind, Material, Mesh, Scene, Silent, Sky, build::Builder};
 use proptest::prelude::*;
 use serde_json::{Value, json};
-use tool::{asset, luxel};
+use tool::{asset, luxel, parts};
 
 /// The least work that still runs every stage.
 fn tiny() -> Settings {
@@ -51,7 +51,7 @@ fn survives(bytes: &[u8]) {
     if let Err(error) = bake_file(&path) {
         let said = told(&error);
         assert!(!matches!(error, Error::Internal { .. }), "{said}");
-        if let Error::Import(error) = &error {
+        if let Error::Import(error) | Error::Export(ExportError::Scene(error)) = &error {
             assert!(said.contains("damaged.glb"), "{said}");
             assert!(is_place(&error.fault.place), "{said}");
             assert!(!error.fault.what.is_empty() && !error.fault.hint.is_empty(), "{said}");
@@ -96,14 +96,6 @@ fn is_place(place: &str) -> bool {
         "extras",
     ];
     place.is_empty() || place.split(' ').next().is_some_and(|kind| KINDS.contains(&kind))
-}
-
-/// JSON and binary chunk of a shipped scene.
-fn parts(name: &str) -> (Value, Vec<u8>) {
-    let bytes = std::fs::read(asset(name)).unwrap();
-    let length = u32::from_le_bytes(bytes[12..16].try_into().unwrap()) as usize;
-    let (json, rest) = bytes[20..].split_at(length);
-    (serde_json::from_slice(json).unwrap(), rest[8..].to_vec())
 }
 
 fn glb(document: &Value, bin: &[u8]) -> Vec<u8> {

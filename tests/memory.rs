@@ -103,19 +103,18 @@ fn a_surfel_of_a_white_room() {
     });
 }
 
+/// Little else than a lightmap of this side.
+fn quick(size: u32) -> Settings {
+    Settings { size: Texels(size), voxels: Voxels::Side(32), threads: Threads(2), ..Settings::preset(Preset::Draft) }
+}
+
 /// What one more texel costs, from the size of the lightmap alone.
 #[test]
 fn a_texel_of_a_whole_bake() {
     let _alone = alone();
     let scene = luxel_assets::cornell();
     let bytes = |size: u32| {
-        let settings = Settings {
-            size: Texels(size),
-            voxels: Voxels::Side(32),
-            threads: Threads(2),
-            ..Settings::preset(Preset::Draft)
-        };
-        let (lit, bytes) = peak_bytes(|| support::bake(&scene, &settings));
+        let (lit, bytes) = peak_bytes(|| support::bake(&scene, &quick(size)));
         (lit.atlas.texels.len() as f64, bytes as f64)
     };
     let (small, large) = (bytes(256), bytes(512));
@@ -156,12 +155,7 @@ fn a_whole_bake_and_its_plan() {
     let scene = luxel_assets::cornell();
     std::fs::write(&path, luxel_assets::glb::write(&scene).expect("a scene")).expect("a file");
     let bake = |size: u32| {
-        let settings = Settings {
-            size: Texels(size),
-            voxels: Voxels::Side(32),
-            threads: Threads(2),
-            ..Settings::preset(Preset::Draft)
-        };
+        let settings = quick(size);
         let plan = Plan::new(&scene, &settings);
         let request = Request {
             scene: path.clone(),

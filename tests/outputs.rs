@@ -6,31 +6,7 @@ mod tool;
 use std::path::{Path, PathBuf};
 
 use serde_json::{Value, json};
-use tempfile::TempDir;
 use tool::*;
-
-/// Settings with which a shipped scene bakes in a moment.
-const QUICK: [&str; 8] = ["--preset", "draft", "--size", "64", "--voxels", "3000", "--directions", "64"];
-
-fn quick(args: &[&str], folder: &Path) -> Run {
-    luxel(&[args, &QUICK].concat(), folder)
-}
-
-fn folder(scenes: &[&str]) -> TempDir {
-    let folder = tempfile::tempdir().unwrap();
-    for scene in scenes {
-        std::fs::copy(asset(scene), folder.path().join(scene)).unwrap();
-    }
-    folder
-}
-
-/// JSON and binary chunk of a shipped scene.
-fn parts(name: &str) -> (Value, Vec<u8>) {
-    let bytes = std::fs::read(asset(name)).unwrap();
-    let length = u32::from_le_bytes(bytes[12..16].try_into().unwrap()) as usize;
-    let (json, rest) = bytes[20..].split_at(length);
-    (serde_json::from_slice(json).unwrap(), rest[8..].to_vec())
-}
 
 /// Writes a scene as `stem.gltf` beside `stem.bin`.
 fn write_gltf(folder: &Path, stem: &str, mut document: Value, bin: &[u8]) -> PathBuf {

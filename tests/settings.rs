@@ -12,7 +12,7 @@ use luxel::settings::{
 };
 use luxel_scene::{LightKind, Material, Scene, build::Builder};
 use tempfile::TempDir;
-use tool::*;
+use tool::{Outputs, asset, luxel};
 
 /// A bake in a moment.
 const QUICK: [&str; 8] = ["--preset", "draft", "--size", "32", "--voxels", "2000", "--directions", "64"];
@@ -165,8 +165,9 @@ fn photons_and_the_final_gather_find_the_same_light() {
     assert!(photons.report["table1"]["primary_photons"].as_u64().unwrap() > 1000);
 }
 
-/// The stated bound is the sum over all clusters of a cut: a certainty, of the light's own order of magnitude, that
-/// shrinks with the threshold. The error lies far below it.
+/// A cut's bound is the sum over all its clusters: a certainty, of the light's own order of magnitude, that shrinks with
+/// the threshold. What the bake states is that of the nodes, averaged and interpolated: an estimate, which the error
+/// keeps to nearly everywhere.
 #[test]
 fn the_error_lies_within_the_stated_bound_and_the_bound_follows_the_threshold() {
     let scene = luxel_assets::cornell();

@@ -1,6 +1,6 @@
 //! From light to files: the picture, the scene with its lightmap, and everything written in one go.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use luxel_export::{Depth, Files, Original, OutputSet, Report, ToneMap, encode_png, report::Warning, sample_lightmap};
 use luxel_scene::Scene;
@@ -75,12 +75,19 @@ pub fn glb(
     })
 }
 
-/// Makes the folder of the outputs and sees that a file can be written there, before hours are spent on what goes in.
+/// Makes the folder of the outputs and sees that all files can be written there, before hours are spent on what goes
+/// in.
 pub fn probe(outputs: &OutputSet) -> Result<(), Error> {
     let folder = outputs.folder();
     let failed = |source| Error::Folder { path: folder.into(), source };
     std::fs::create_dir_all(folder).map_err(failed)?;
-    tempfile::NamedTempFile::new_in(folder).and_then(|file| file.close()).map_err(failed)
+    can_write(folder).map_err(failed)?;
+    Ok(outputs.check_names()?)
+}
+
+/// Sees that a file can be written into a folder.
+pub fn can_write(folder: &Path) -> std::io::Result<()> {
+    tempfile::NamedTempFile::new_in(folder)?.close()
 }
 
 /// Writes all files; returns them in the order of writing.

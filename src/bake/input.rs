@@ -3,15 +3,35 @@
 use std::path::Path;
 
 use luxel_atlas::AtlasSettings;
-use luxel_scene::{ImportOptions, Limits, Scene, Sky, SkyImage, import};
+use luxel_export::Original;
+use luxel_scene::{ImportOptions, Limits, Progress, Scene, Sky, SkyImage, import};
 
 use crate::Error;
-use crate::plan::Stage;
+use crate::plan::{Plan, Stage};
 use crate::settings::{FIELDS, Settings, SkySetting};
 use crate::store::Key;
 
+/// Reads the scene, what of its file the export will write again, and plans the bake.
+///
+/// The latter is read now because a fault in it must not come out after the bake, and kept because the file may be
+/// another one by then: who saves a level while it is baked still gets the light of the level that was.
+pub fn open(path: &Path, settings: &Settings, progress: &dyn Progress) -> Result<(Scene, Original, Plan), Error> {
+    let scene = load(path, settings)?;
+    progress.advance(1);
+    progress.check()?;
+    let original = Original::read(path)?;
+    original.check_unchanged(&scene.inputs)?;
+    let mut plan = Plan::new(&scene, settings);
+    plan.weigh(original.bytes());
+    progress.advance(1);
+    Ok((scene, original, plan))
+}
+
+/// Steps of [`open`].
+pub const STEPS: u64 = 2;
+
 /// Reads the scene, and the sky that the settings name.
-pub fn load(path: &Path, settings: &Settings) -> Result<Scene, Error> {
+fn load(path: &Path, settings: &Settings) -> Result<Scene, Error> {
     let options = ImportOptions {
         metal_diffuse: settings.metal_diffuse.0,
         light_scale: settings.light_scale.0,
@@ -61,11 +81,13 @@ pub fn atlas_settings(settings: &Settings) -> AtlasSettings {
     }
 }
 
-/// Identity of a result: luxel's version and that of its stages, all bytes that were read, and the settings that `matters` names.
-pub fn key(scene: &Scene, settings: &Settings, matters: impl Fn(&str) -> bool) -> Key {
+/// Identity of a result: luxel's version and that of the `stages` that made it, all bytes that were read, and the
+/// settings that `matters` names.
+pub fn key(scene: &Scene, settings: &Settings, stages: &[Stage], matters: impl Fn(&str) -> bool) -> Key {
     let mut hasher = blake3::Hasher::new();
     hasher.update(env!("CARGO_PKG_VERSION").as_bytes());
-    for stage in Stage::ALL {
+    for stage in stages {
+        hasher.update(stage.name().as_bytes());
         hasher.update(&stage.version().to_le_bytes());
     }
     for input in &scene.inputs {
@@ -98,12 +120,12 @@ mod tests {
             let path = folder.path().join(name);
             exr::prelude::write_rgb_file(&path, 8, 4, |_, _| (radiance, 1.0, 1.0)).unwrap();
             let settings = Settings { sky: SkySetting::Image(path), ..Settings::default() };
-            key(&load(&scene, &settings).unwrap(), &settings, |_| true)
+            key(&load(&scene, &settings).unwrap(), &settings, &Stage::ALL, |_| true)
         };
         let noon = key_of("noon.exr", 1.0);
         assert_eq!(key_of("twelve.exr", 1.0), noon);
         assert_ne!(key_of("noon.exr", 2.0), noon, "other light is another input");
         let none = Settings::default();
-        assert_ne!(key(&load(&scene, &none).unwrap(), &none, |_| true), noon);
+        assert_ne!(key(&load(&scene, &none).unwrap(), &none, &Stage::ALL, |_| true), noon);
     }
 }

@@ -76,14 +76,19 @@ impl<'a> Journal<'a> {
         }
     }
 
+    /// What is written down of a stage so far.
+    fn entry(&self, stage: Stage) -> Option<&Entry> {
+        self.entries.iter().find(|e| e.name == stage.name())
+    }
+
     /// Seconds that a stage took; 0 if it did not run.
     pub fn seconds(&self, stage: Stage) -> f64 {
-        self.entries.iter().filter(|e| e.name == stage.name()).map(|e| e.seconds).sum()
+        self.entry(stage).map_or(0.0, |e| e.seconds)
     }
 
     /// A counter of a stage, of one that was reused too; 0 if it was not counted.
     pub fn count(&self, stage: Stage, counter: &str) -> u64 {
-        self.entries.iter().filter(|e| e.name == stage.name()).filter_map(|e| e.counters.get(counter)).sum()
+        self.entry(stage).and_then(|e| e.counters.get(counter)).copied().unwrap_or_default()
     }
 
     /// A counter of a stage, if this very bake ran it.
@@ -93,11 +98,11 @@ impl<'a> Journal<'a> {
 
     /// What became of a stage so far.
     pub fn state(&self, stage: Stage) -> Option<StageState> {
-        self.entries.iter().find(|e| e.name == stage.name()).map(|e| e.state)
+        self.entry(stage).map(|e| e.state)
     }
 
     /// What a stage counted.
     pub fn counters(&self, stage: Stage) -> Counters {
-        self.entries.iter().find(|e| e.name == stage.name()).map(|e| e.counters.clone()).unwrap_or_default()
+        self.entry(stage).map(|e| e.counters.clone()).unwrap_or_default()
     }
 }

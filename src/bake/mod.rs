@@ -5,6 +5,7 @@ mod export;
 mod finish;
 mod input;
 pub mod journal;
+mod memory;
 mod record;
 mod report;
 mod texels;
@@ -15,7 +16,7 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use luxel_atlas::{Atlas, AtlasReport, InProcess, Unwrapper, Worker};
-use luxel_export::{BoundMap, Lightmap, Original, OutputSet, Report};
+use luxel_export::{BoundMap, Lightmap, OutputSet, Report, report::Warning};
 use luxel_scene::{Progress, Scene};
 use luxel_transport::{geometry::Geometry, rays::Rays};
 
@@ -73,30 +74,32 @@ fn run(request: &Request, progress: &dyn Progress) -> Result<Baked, Error> {
     let start = Instant::now();
     let settings = &request.settings.settings;
     let mut journal = Journal::new(progress);
-    let (scene, original) = journal.always(Stage::Import, "", Some(0), |_, counters| {
-        let scene = input::load(&request.scene, settings)?;
+    let (scene, original, mut plan) = journal.always(Stage::Import, "", Some(input::STEPS), |progress, counters| {
+        let (scene, original, plan) = input::open(&request.scene, settings, progress)?;
         counters.insert("triangles".into(), scene.triangle_count() as u64);
         counters.insert("files".into(), scene.inputs.len() as u64);
-        // What the export will write again is read now: a fault in it must not come out after the bake.
-        let original = Original::read(&request.scene)?;
-        original.check_unchanged(&scene.inputs)?;
-        Ok((scene, original))
+        Ok((scene, original, plan))
     })?;
-    let plan = Plan::new(&scene, settings);
     journal.explain(Stage::Import, plan.reason(Stage::Import));
+    plan.warnings.extend(memory::check(&plan.least_memory(settings))?);
     // The number of threads changes no byte.
-    let key = input::key(&scene, settings, |name| name != "threads");
+    let key = input::key(&scene, settings, &Stage::ALL, |name| name != "threads");
     let geometry = Geometry::new(&scene);
     export::probe(&request.outputs)?;
     let store = transport::Store::new(&request.outputs, &scene, settings);
+    if plan.runs(Stage::Cache) {
+        store.probe()?;
+    }
     let (lit, rays) = match &request.worker {
         Some(path) => light(&geometry, settings, &plan, &worker(path), Some(&store), &mut journal)?,
         None => light(&geometry, settings, &plan, &InProcess, Some(&store), &mut journal)?,
     };
     let picture = export::preview(&geometry, rays.as_ref(), &plan, &lit, &mut journal)?;
-    let mut report = report::start(&scene, &request.settings);
+    let mut report = report::start(&scene, &plan, &request.settings);
     let glb = export::glb(request, &original, &scene, &plan, &lit, &mut report, &mut journal)?;
     report::fill(&mut report, &scene, settings, &plan, &lit, &journal, start.elapsed().as_secs_f64());
+    // From here on the old files are replaced.
+    progress.check()?;
     let files = export::write(&request.outputs, &lit, picture.as_deref(), &glb, &key, &mut report)?;
     Ok(Baked { report, files, seconds: start.elapsed().as_secs_f64(), lit })
 }
@@ -120,9 +123,13 @@ pub fn plan_file(
     progress: &dyn Progress,
 ) -> Result<Plan, Error> {
     guarded(|| {
-        progress.begin(Stage::Import.name(), 0);
-        let scene = input::load(path, settings)?;
-        let mut plan = Plan::new(&scene, settings);
+        progress.begin(Stage::Import.name(), input::STEPS);
+        let (scene, _, mut plan) = input::open(path, settings, progress)?;
+        match memory::check(&plan.least_memory(settings)) {
+            Ok(warning) => plan.warnings.extend(warning),
+            // A plan is what one asks for in order to find out.
+            Err(refusal) => plan.warnings.push(Warning { code: "memory".into(), message: refusal.to_string() }),
+        }
         if let Some(outputs) = outputs {
             transport::foresee(&mut plan, &transport::Store::new(outputs, &scene, settings), &scene);
         }
@@ -166,11 +173,11 @@ fn light<'g>(
         None => {
             transport::skip(plan, journal);
             texels::skip(plan, journal);
-            (TexelLight::dark(atlas.texels.len(), settings.bound), transport::Facts::default())
+            (TexelLight::dark(atlas.texels.len(), plan.states_bound(settings)), transport::Facts::default())
         }
     };
-    let images = journal.run(plan, Stage::Finish, Some(0), |_, counters| {
-        let (lightmaps, bounds, report) = finish::run(scene, &atlas, &texels, settings, plan)?;
+    let images = journal.run(plan, Stage::Finish, Some(finish::STEPS), |progress, counters| {
+        let (lightmaps, bounds, report) = finish::run(scene, &atlas, &texels, settings, plan, progress)?;
         counters.insert("filled_texels".into(), report.filled.into());
         counters.insert("lost_texels".into(), report.lost.into());
         counters.insert("seam_samples".into(), report.seam_samples.into());
@@ -251,6 +258,27 @@ mod tests {
         let planned = plan_file(&request.scene, None, &Settings::default(), &Broken("import"));
         assert!(matches!(planned, Err(Error::Internal { .. })));
         bake(&request, &Silent).unwrap();
+    }
+
+    /// Saves another level over the scene when a stage begins.
+    struct Saving<'a>(&'a Path);
+
+    impl Progress for Saving<'_> {
+        fn begin(&self, stage: &'static str, _: u64) {
+            if stage == "unwrap" {
+                std::fs::write(self.0, b"another level").unwrap();
+            }
+        }
+        fn advance(&self, _: u64) {}
+    }
+
+    #[test]
+    fn a_level_that_is_saved_while_it_is_baked_does_not_cost_the_bake() {
+        let folder = tempfile::tempdir().unwrap();
+        let request = request(folder.path());
+        let baked = bake(&request, &Saving(&request.scene)).unwrap();
+        assert_eq!(std::fs::read(&request.scene).unwrap(), b"another level");
+        assert!(baked.files.iter().all(|file| file.exists()) && !baked.lit.lightmaps.is_empty());
     }
 
     #[test]

@@ -9,12 +9,11 @@ use super::Lit;
 use super::journal::Journal;
 use super::record::Record;
 use crate::plan::{Plan, Stage};
-use crate::settings::value::Value;
 use crate::settings::{Resolved, Settings};
 use crate::store::OCTREE;
 
 /// The part that is known before the bake.
-pub fn start(scene: &Scene, settings: &Resolved) -> Report {
+pub fn start(scene: &Scene, plan: &Plan, settings: &Resolved) -> Report {
     let inputs = scene.inputs.iter().map(Input::from).collect();
     let mut report = Report::new(SceneInfo { name: scene.name.clone(), inputs });
     report.versions.insert("luxel".into(), env!("CARGO_PKG_VERSION").into());
@@ -30,7 +29,7 @@ pub fn start(scene: &Scene, settings: &Resolved) -> Report {
             origin: origin.to_string(),
         })
         .collect();
-    report.warnings = scene.notices.iter().map(Warning::from).collect();
+    report.warnings = plan.warnings.clone();
     report
 }
 
@@ -70,17 +69,8 @@ pub fn fill(
         report.counters.insert(name.into(), count);
     }
     quality(report, plan, lit, settings, journal);
-    if settings.bound && settings.states_bound() && !plan.runs(Stage::Gather) {
-        let reason = plan.reason(Stage::Gather);
-        let message =
-            format!("no bound image is written: no light was gathered that a bound could be stated of ({reason})");
-        warn(report, "no-bound", message);
-    } else if settings.bound && !settings.states_bound() {
-        let mode = settings.gather_mode().write();
-        let message = format!(
-            "the gather mode {mode} states no error bound, so no bound image is written; --gather lightcuts states one"
-        );
-        warn(report, "no-bound", message);
+    if settings.bound && !plan.states_bound(settings) {
+        warn(report, "no-bound", no_bound(plan, settings));
     }
     if let Some(miss) = &lit.transport.miss {
         warn(report, "cache-miss", miss.clone());
@@ -96,6 +86,16 @@ pub fn fill(
         report.table1 = Some(Table1 { state, ..table1(plan, lit, journal, record, seconds) });
         report.energy = Some(EnergyLedger { state, ..record.energy.clone() });
     }
+}
+
+/// Why a map of stated bounds that is wanted is not written.
+fn no_bound(plan: &Plan, settings: &Settings) -> String {
+    if settings.states_bound() {
+        let reason = plan.reason(Stage::Gather);
+        return format!("no bound image is written: no light was gathered that a bound could be stated of ({reason})");
+    }
+    let mode = settings.gatherer().name();
+    format!("the gather mode {mode} states no error bound, so no bound image is written; --gather lightcuts states one")
 }
 
 fn warn(report: &mut Report, code: &str, message: impl Into<String>) {
@@ -123,7 +123,7 @@ fn quality(report: &mut Report, plan: &Plan, lit: &Lit, settings: &Settings, jou
         put("mean_irradiance_lux", (direct + indirect) / area);
         put("mean_direct_lux", direct / area);
         put("mean_indirect_lux", indirect / area);
-        if settings.bound && settings.states_bound() && plan.runs(Stage::Gather) {
+        if plan.states_bound(settings) {
             put("mean_bound_lux", bound / area);
         }
     }

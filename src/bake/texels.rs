@@ -24,7 +24,7 @@ use super::journal::{Counters, Journal};
 use super::transport::Transport;
 use crate::Error;
 use crate::plan::{Plan, Stage};
-use crate::settings::{DoubleSided, GatherMode, Settings};
+use crate::settings::{DoubleSided, Gatherer, Settings};
 
 /// Texels whose receivers exist at the same time.
 const BLOCK: usize = 1 << 14;
@@ -39,7 +39,8 @@ pub struct TexelLight {
     pub direct: Vec<Rgb>,
     /// Reflected at least once, and from the sky [lux].
     pub indirect: Vec<Rgb>,
-    /// Stated bound of the error of the band mean of the indirect light [lux]; empty where none is asked for.
+    /// Stated bound of the error of the band mean of the indirect light [lux]: the cuts' own at nodes, an estimate once
+    /// those are averaged and interpolated. Empty where none is asked for or can be stated.
     pub bound: Vec<f32>,
     /// Inside or under other geometry: its value means nothing.
     pub buried: Vec<bool>,
@@ -70,7 +71,7 @@ struct Side<'a> {
     back: bool,
     /// Receivers that are not at their texel's point because that one is buried, by rising index.
     moved: Vec<(usize, Receiver)>,
-    /// Texels whose point is buried by something thin, with receivers on the far side of it, by rising index.
+    /// Texels of a front whose point is buried by something thin, with receivers on its far side, by rising index.
     beyond: Vec<(usize, Receiver)>,
     light: TexelLight,
 }
@@ -109,11 +110,11 @@ impl<'a> Side<'a> {
         }
     }
 
-    /// The texels of a side that stand for the far side of a thin wall too, over there.
+    /// The texels of a front that stand for the far side of a thin wall too, over there.
     fn far(&self) -> Self {
-        let number = |i: usize| self.some.as_ref().map_or(i as u32, |some| some[i]);
         Self {
-            some: Some(self.beyond.iter().map(|(i, _)| number(*i)).collect()),
+            // A front has all texels, so their place in it is their number.
+            some: Some(self.beyond.iter().map(|(i, _)| *i as u32).collect()),
             moved: self.beyond.iter().map(|(_, receiver)| *receiver).enumerate().collect(),
             beyond: Vec::new(),
             light: TexelLight::dark(self.beyond.len(), !self.light.bound.is_empty()),
@@ -168,7 +169,8 @@ impl<'a> Side<'a> {
                     Some(receiver) => self.moved.push((i, receiver)),
                     None => self.light.buried[i] = true,
                 }
-                self.beyond.extend(sides.smaller.map(|receiver| (i, receiver)));
+                // Only the far sides of a front are gathered.
+                self.beyond.extend(sides.smaller.filter(|_| !self.back).map(|receiver| (i, receiver)));
             }
             progress.advance(length as u64);
         }
@@ -176,7 +178,8 @@ impl<'a> Side<'a> {
     }
 
     /// Gathers at every receiver that is not buried, block by block, and hands each result to `put` with its index.
-    /// With `nodes`, only some are gathered and the rest interpolated. Returns how many were gathered.
+    /// With `nodes`, only some are gathered (all, where they stand at every texel), averaged with neighbours that agree,
+    /// and the rest interpolated: their bounds are estimates. Returns how many were gathered.
     fn gather(
         &mut self,
         gatherer: &dyn Gather,
@@ -238,9 +241,10 @@ pub fn run(
     journal: &mut Journal,
 ) -> Result<TexelLight, Error> {
     let geometry = rays.geometry;
-    let mut sides = vec![Side::front(geometry, atlas, settings.bound)];
+    let bound = plan.states_bound(settings);
+    let mut sides = vec![Side::front(geometry, atlas, bound)];
     if settings.double_sided != DoubleSided::Front {
-        sides.push(Side::back(geometry, atlas, settings.bound));
+        sides.push(Side::back(geometry, atlas, bound));
     }
     let work = sides.iter().map(|s| s.len() as u64).sum();
     let stride = settings.node_spacing.0;
@@ -275,13 +279,13 @@ pub fn run(
     journal.run(plan, Stage::Gather, Some(work), |progress, counters| {
         let Some((surfels, solution)) = &transport.surfels else { return Ok(()) };
         let field = Field::new(rays, surfels, solution)?;
-        match settings.gather_mode() {
-            GatherMode::Lookup => gather(&mut sides, &Lookup::new(&field), Part::Bounced, None, progress, counters),
-            GatherMode::Final => {
+        match settings.gatherer() {
+            Gatherer::Lookup => gather(&mut sides, &Lookup::new(&field), Part::Bounced, None, progress, counters),
+            Gatherer::Final => {
                 let gatherer = FinalGather::new(&field, settings.gather_rays.0);
                 gather(&mut sides, &gatherer, Part::Bounced, nodes, progress, counters)
             }
-            GatherMode::Lightcuts | GatherMode::Auto => {
+            Gatherer::Lightcuts => {
                 let gatherer = Lightcuts::new(&field, lightcut_settings(settings));
                 gather(&mut sides, &gatherer, Part::Bounced, nodes, progress, counters)
             }
@@ -357,22 +361,22 @@ fn combine_sides(sides: Vec<Side>, rule: DoubleSided) -> TexelLight {
     let mut out = sides.next().map(|s| s.light).unwrap_or_default();
     for side in sides {
         for (k, i) in side.some.iter().flatten().map(|i| *i as usize).enumerate() {
-            let back = &side.light;
+            let other = &side.light;
             let share = match rule {
-                _ if !side.back => f32::from(back.total(k).element_sum() < out.total(i).element_sum()),
+                _ if !side.back => f32::from(other.total(k).element_sum() < out.total(i).element_sum()),
                 // A side that lies within something has nothing to say.
-                _ if back.buried[k] => 0.0,
+                _ if other.buried[k] => 0.0,
                 _ if out.buried[i] => 1.0,
                 DoubleSided::Front => 0.0,
                 DoubleSided::Average => 0.5,
-                DoubleSided::Max => f32::from(back.total(k).element_sum() > out.total(i).element_sum()),
+                DoubleSided::Max => f32::from(other.total(k).element_sum() > out.total(i).element_sum()),
             };
-            out.direct[i] = out.direct[i].lerp(back.direct[k], share);
-            out.indirect[i] = out.indirect[i].lerp(back.indirect[k], share);
+            out.direct[i] = out.direct[i].lerp(other.direct[k], share);
+            out.indirect[i] = out.indirect[i].lerp(other.indirect[k], share);
             if let Some(bound) = out.bound.get_mut(i) {
-                *bound += (back.bound[k] - *bound) * share;
+                *bound += (other.bound[k] - *bound) * share;
             }
-            out.buried[i] &= back.buried[k];
+            out.buried[i] &= other.buried[k];
         }
     }
     out

@@ -1,6 +1,6 @@
 //! The light at surfels: voxelized, shot, propagated, refreshed; or read back from the octree cache of the last bake.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use luxel_export::OutputSet;
 use luxel_export::report::StageState;
@@ -20,7 +20,7 @@ use luxel_transport::{
 
 use super::journal::Journal;
 use super::record::Record;
-use super::{direct, input};
+use super::{direct, export, input};
 use crate::Error;
 use crate::plan::{Plan, Stage};
 use crate::settings::{Area, Closed, DirectionSet, Rule, Settings, Voxels};
@@ -66,6 +66,10 @@ const KEY_SETTINGS: [&str; 23] = [
 /// The stages that a stored octree stands for.
 const STORED: [Stage; 4] = [Stage::Surfels, Stage::Shoot, Stage::Propagate, Stage::Refresh];
 
+/// The stages whose versions the light at surfels depends on: a later one may change without costing it.
+const KEY_STAGES: [Stage; 7] =
+    [Stage::Import, Stage::Rays, Stage::Surfels, Stage::Shoot, Stage::Propagate, Stage::Refresh, Stage::Cache];
+
 /// Why they need not run where their octree is there.
 const REUSED: &str = "the stored light was made from the same input and settings";
 
@@ -97,17 +101,34 @@ pub struct Store {
 impl Store {
     pub fn new(outputs: &OutputSet, scene: &Scene, settings: &Settings) -> Self {
         let path = outputs.folder().join(".luxel").join(format!("{}.octree", outputs.stem()));
-        Self { path, key: input::key(scene, settings, |name| KEY_SETTINGS.contains(&name)) }
+        Self { path, key: input::key(scene, settings, &KEY_STAGES, |name| KEY_SETTINGS.contains(&name)) }
     }
 
-    /// The stored light, if it is this bake's.
-    fn read(&self, triangles: usize) -> Result<(Surfels, Solution, Record), String> {
+    /// Sees that the light can be stored, before it is made.
+    pub fn probe(&self) -> Result<(), Error> {
+        let failed = |path: &Path, what: &str| {
+            let source = std::io::Error::other(what.to_owned());
+            Err(Error::Store { path: path.into(), source })
+        };
+        let folder = self.path.parent().unwrap_or(Path::new(""));
+        if folder.exists() && !folder.is_dir() {
+            return failed(folder, "a file lies where its folder would");
+        }
+        if self.path.is_dir() {
+            return failed(&self.path, "a folder lies where its file would");
+        }
+        let writable = if folder.is_dir() { export::can_write(folder) } else { Ok(()) };
+        writable.map_err(|source| Error::Store { path: folder.into(), source })
+    }
+
+    /// The stored light, if it is this bake's; else a warning, if that is cause for one.
+    fn read(&self, triangles: usize) -> Result<(Surfels, Solution, Record), Option<String>> {
+        let foreign = |why: String| Some(format!("{}: the stored light is made anew: {why}", self.path.display()));
         let body = store::read(&self.path, store::OCTREE, &self.key).map_err(|miss| match miss {
-            // An ordinary change of input or settings is no cause for a warning.
-            Miss::Absent | Miss::OtherKey => String::new(),
-            miss => format!("{}: the stored light is made anew: {miss}", self.path.display()),
+            // An ordinary change of input or settings.
+            Miss::Absent | Miss::OtherKey => None,
+            miss => foreign(miss.to_string()),
         })?;
-        let foreign = |why: String| format!("{}: the stored light is made anew: {why}", self.path.display());
         let (record, body) = Record::split(&body).map_err(foreign)?;
         let octree = Octree::from_bytes(body, body.len()).map_err(|e| foreign(e.to_string()))?;
         if !octree.fits(triangles) {
@@ -156,18 +177,22 @@ pub fn run(
                 facts.record = Some(record);
                 return Ok(Transport { emitters, surfels: Some((surfels, solution)), facts });
             }
-            Err(miss) => facts.miss = (!miss.is_empty()).then_some(miss),
+            Err(miss) => facts.miss = miss,
         }
     }
     let (surfels, solution, mut record) = made(rays, &emitters, settings, plan, journal)?;
     facts.surfels = surfels.list.len() as u64;
     record.counters = STORED.map(|stage| (stage.name().to_owned(), journal.counters(stage))).into_iter().collect();
-    journal.run(plan, Stage::Cache, Some(0), |_, counters| {
+    // The tree and its file.
+    journal.run(plan, Stage::Cache, Some(2), |progress, counters| {
         let octree = Octree::new(&surfels, &solution);
         counters.insert("nodes".into(), octree.nodes().len() as u64);
+        progress.advance(1);
+        progress.check()?;
         if let Some(store) = store {
             counters.insert("bytes".into(), store.write(&octree, &record)?);
         }
+        progress.advance(1);
         Ok(())
     })?;
     facts.record = Some(record);
@@ -328,6 +353,18 @@ mod tests {
             "the light at surfels has changed: raise the version of the stage that changed it in Stage::version, \
              then write versions and hash here"
         );
+    }
+
+    #[test]
+    fn stored_light_depends_on_no_stage_that_comes_after_it() {
+        assert!(STORED.iter().all(|stage| KEY_STAGES.contains(stage)));
+        assert!(KEY_STAGES.iter().all(|stage| *stage <= Stage::Cache && *stage != Stage::Unwrap), "{KEY_STAGES:?}");
+        let (scene, settings) = (Builder::new("empty").build(), Settings::default());
+        let of = |stages: &[Stage]| input::key(&scene, &settings, stages, |_| true);
+        assert_ne!(of(&KEY_STAGES), of(&Stage::ALL));
+        let outputs = OutputSet::new("empty.glb".as_ref(), None, None).unwrap();
+        let stored = input::key(&scene, &settings, &KEY_STAGES, |name| KEY_SETTINGS.contains(&name));
+        assert_eq!(Store::new(&outputs, &scene, &settings).key, stored);
     }
 
     #[test]

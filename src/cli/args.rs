@@ -80,7 +80,7 @@ impl Args for Flags {
             arg = arg.value_name(field.unit.to_uppercase()).allow_hyphen_values(true);
             let check = |text: &str| match field.assign(&mut Settings::default(), text) {
                 true => Ok(text.to_owned()),
-                false => Err(format!("expected {}", (field.form)())),
+                false => Err(format!("expected {}", field.expected(text))),
             };
             arg = arg.value_parser(check);
             if field.is_switch {
@@ -153,6 +153,8 @@ mod tests {
         let message = bake("luxel bake a.glb --sky noon.png").unwrap_err().to_string();
         assert!(message.contains("'noon.png'") && message.contains("--sky") && message.contains(".hdr"), "{message}");
         assert!(!message.contains("Usage"), "{message}");
+        let message = bake("luxel bake a.glb --preset darft").unwrap_err().to_string();
+        assert!(message.contains("did you mean `draft`"), "{message}");
         assert!(bake("luxel bake").is_err());
         assert!(bake("luxel bake a --siez 3").unwrap_err().to_string().contains("--size"));
     }

@@ -12,7 +12,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::Context;
 use clap::Parser;
-use luxel::discover::{self, Found};
+use luxel::discover::{self, Found, Search};
 use luxel::settings::{Layer, Resolved, SettingsError, extras, resolve};
 use luxel::{Error, Request};
 use luxel_export::{ExportError, OutputSet};
@@ -28,7 +28,18 @@ const INTERRUPTED: u8 = 130;
 
 /// Runs the command line of this process.
 pub fn main() -> ExitCode {
-    let code = match Cli::parse().task {
+    let cli = match Cli::try_parse() {
+        Ok(cli) => cli,
+        // Help and version are no errors, and go their own way.
+        Err(error) => {
+            if error.use_stderr() && std::env::args_os().any(|arg| arg == "--json") {
+                print::misused(&anyhow::anyhow!(error.to_string().trim_end().to_owned()));
+            }
+            error.exit()
+        }
+    };
+    let json = matches!(&cli.task, Task::Bake(args) | Task::Plan(args) if args.common.json);
+    let code = match cli.task {
         Task::Bake(args) => bake(&args),
         Task::Plan(args) => plan(&args),
         Task::Defaults => {
@@ -44,6 +55,9 @@ pub fn main() -> ExitCode {
     };
     ExitCode::from(code.unwrap_or_else(|error| {
         print::failure(None, &error);
+        if json {
+            print::misused(&error);
+        }
         USAGE
     }))
 }
@@ -51,15 +65,29 @@ pub fn main() -> ExitCode {
 /// What a command line means before any scene is opened; every error here is one of usage.
 struct Job {
     found: Vec<Found>,
+    /// Names that mean no scene.
+    missing: Vec<(PathBuf, anyhow::Error)>,
     /// The layer of `--config`.
     config: Option<Layer>,
     style: Style,
     cancelled: Arc<AtomicBool>,
 }
 
+impl Job {
+    /// Scenes that were asked for.
+    fn scenes(&self) -> usize {
+        self.found.len() + self.missing.len()
+    }
+}
+
 fn prepare(common: &Common, out: Option<&Path>) -> anyhow::Result<Job> {
     let config = common.config.as_deref().map(Layer::from_file).transpose()?;
-    let found = discover::find(&common.scenes, out)?;
+    // Said once, and not of every scene.
+    for image in config.iter().chain([&common.settings.0]).filter_map(Layer::sky_image) {
+        anyhow::ensure!(image.is_file(), "{}: there is no such sky image; check --sky and --config", image.display());
+    }
+    let Search { found, missing } = discover::find(&common.scenes, out)?;
+    let missing = missing.into_iter().map(|(path, error)| (path, error.into())).collect();
     let cancelled = Arc::new(AtomicBool::new(false));
     let flag = cancelled.clone();
     ctrlc::set_handler(move || {
@@ -69,7 +97,7 @@ fn prepare(common: &Common, out: Option<&Path>) -> anyhow::Result<Job> {
         }
     })
     .context("cannot listen for Ctrl-C")?;
-    Ok(Job { found, config, style: Style::choose(common.json, common.quiet), cancelled })
+    Ok(Job { found, missing, config, style: Style::choose(common.json, common.quiet), cancelled })
 }
 
 /// The settings of one scene: its folder's or the named file, its extras, the command line.
@@ -92,10 +120,9 @@ fn settings(scene: &Path, config: Option<&Layer>, flags: &Layer) -> Result<Resol
 fn bake(args: &Bake) -> anyhow::Result<u8> {
     let common = &args.common;
     let task = prepare(common, args.out.as_deref())?;
-    let mut places = places(&task.found, args.out.as_deref())?;
+    let places = places(&task.found, args.out.as_deref())?;
     let worker = std::env::current_exe().ok();
-    each(&task, |found, reporter| {
-        let outputs = take(&mut places, found)?;
+    each(&task, places, |found, outputs, reporter| {
         let request = Request {
             scene: found.scene.clone(),
             outputs,
@@ -112,9 +139,8 @@ fn bake(args: &Bake) -> anyhow::Result<u8> {
 fn plan(args: &Bake) -> anyhow::Result<u8> {
     let common = &args.common;
     let task = prepare(common, args.out.as_deref())?;
-    let mut places = places(&task.found, args.out.as_deref())?;
-    each(&task, |found, reporter| {
-        let outputs = take(&mut places, found)?;
+    let places = places(&task.found, args.out.as_deref())?;
+    each(&task, places, |found, outputs, reporter| {
         let settings = settings(&found.scene, task.config.as_ref(), &common.settings.0)?;
         let plan = luxel::plan_file(&found.scene, Some(&outputs), &settings.settings, reporter)?;
         reporter.finish();
@@ -123,42 +149,50 @@ fn plan(args: &Bake) -> anyhow::Result<u8> {
     })
 }
 
-/// Does `work` for every scene, goes on after a failure, and names the failed ones at the end.
-fn each(task: &Job, mut work: impl FnMut(&Found, &Reporter) -> Result<(), Error>) -> anyhow::Result<u8> {
+/// Where a scene's files go, if there is such a place.
+type Place = Result<OutputSet, ExportError>;
+
+/// Does `work` for every scene with its place, goes on after a failure, and names the failed ones at the end.
+fn each(
+    task: &Job,
+    places: Vec<Place>,
+    mut work: impl FnMut(&Found, OutputSet, &Reporter) -> Result<(), Error>,
+) -> anyhow::Result<u8> {
     let mut failed: Vec<&PathBuf> = Vec::new();
-    for found in &task.found {
+    for (path, error) in &task.missing {
+        print::failed(task.style, path, error);
+        failed.push(path);
+    }
+    for (found, place) in task.found.iter().zip(places) {
         let name = print::written(&found.scene);
         if matches!(task.style, Style::Lines | Style::Bar) {
             say(&name);
         }
         let reporter = Reporter::new(task.style, &name, task.cancelled.clone());
-        match work(found, &reporter) {
+        let done = place.map_err(Error::from).and_then(|outputs| work(found, outputs, &reporter));
+        reporter.finish();
+        match done {
             Ok(()) => {}
             Err(Error::Cancelled) => {
-                reporter.finish();
-                if task.style == Style::Json {
-                    event(&json!({ "event": "interrupted", "scene": name, "failed": written(&failed) }));
-                } else {
-                    say("interrupted; the outputs of an earlier bake are as they were");
+                match task.style {
+                    Style::Json => {
+                        event(&json!({ "event": "interrupted", "scene": name, "failed": written(&failed) }));
+                    }
+                    // Who interrupts knows it, and the exit code tells others.
+                    Style::Quiet => {}
+                    Style::Lines | Style::Bar => say(&format!("interrupted; {name} is not baked")),
                 }
                 name_failed(task, &failed);
                 return Ok(INTERRUPTED);
             }
             Err(error) => {
-                reporter.finish();
-                let error = anyhow::Error::new(error);
-                if task.style == Style::Json {
-                    let causes: Vec<String> = error.chain().map(ToString::to_string).collect();
-                    event(&json!({ "event": "failed", "scene": name, "error": causes[0], "causes": causes[1..] }));
-                } else {
-                    print::failure(Some(&found.scene), &error);
-                }
+                print::failed(task.style, &found.scene, &anyhow::Error::new(error));
                 failed.push(&found.scene);
             }
         }
     }
     if task.style == Style::Json {
-        event(&json!({ "event": "done", "scenes": task.found.len(), "failed": written(&failed) }));
+        event(&json!({ "event": "done", "scenes": task.scenes(), "failed": written(&failed) }));
     }
     name_failed(task, &failed);
     Ok(if failed.is_empty() { DONE } else { SOME_FAILED })
@@ -170,33 +204,24 @@ fn written(scenes: &[&PathBuf]) -> Vec<String> {
 
 /// For a person, whose screen may have lost what was said when they failed.
 fn name_failed(task: &Job, failed: &[&PathBuf]) {
-    if task.style != Style::Json && !failed.is_empty() && task.found.len() > 1 {
-        say(&format!("{} of {} scenes failed:", failed.len(), task.found.len()));
+    if task.style != Style::Json && !failed.is_empty() && task.scenes() > 1 {
+        say(&format!("{} of {} scenes failed:", failed.len(), task.scenes()));
         for scene in failed {
             say(&format!("  {}", scene.display()));
         }
     }
 }
 
-/// By scene.
-type Places = BTreeMap<PathBuf, Result<OutputSet, ExportError>>;
-
-/// The place of a scene, which is asked for once.
-fn take(places: &mut Places, found: &Found) -> Result<OutputSet, Error> {
-    let missing = || Error::Internal { what: format!("{} has no place for its outputs", found.scene.display()) };
-    Ok(places.remove(&found.scene).ok_or_else(missing)??)
-}
-
 /// Where every scene's files go. Two scenes with the same place are an error of usage, and so is a named scene without
 /// one; a scene that was found in a folder fails alone.
-fn places(found: &[Found], out: Option<&Path>) -> anyhow::Result<Places> {
-    let mut places = BTreeMap::new();
+fn places(found: &[Found], out: Option<&Path>) -> anyhow::Result<Vec<Place>> {
+    let mut places = Vec::new();
     let mut taken: BTreeMap<PathBuf, &Path> = BTreeMap::new();
     for f in found {
         let set = match OutputSet::new(&f.scene, out, f.root.as_deref()) {
             Ok(set) => set,
             Err(error) if f.root.is_some() => {
-                places.insert(f.scene.clone(), Err(error));
+                places.push(Err(error));
                 continue;
             }
             Err(error) => return Err(error.into()),
@@ -209,7 +234,7 @@ fn places(found: &[Found], out: Option<&Path>) -> anyhow::Result<Places> {
                 set.glb().display()
             );
         }
-        places.insert(f.scene.clone(), Ok(set));
+        places.push(Ok(set));
     }
     Ok(places)
 }
@@ -232,12 +257,13 @@ mod tests {
         let found = |path: &str| Found { scene: path.into(), root: None };
         let task = Job {
             found: vec![found("a.glb"), found("b.glb"), found("c.glb")],
+            missing: Vec::new(),
             config: None,
             style: Style::Quiet,
             cancelled: Arc::default(),
         };
         let mut done = Vec::new();
-        let code = each(&task, |found, _| {
+        let code = each(&task, places(&task.found, None).unwrap(), |found, _, _| {
             done.push(found.scene.clone());
             if found.scene == Path::new("b.glb") { Err(Error::Internal { what: "burst".into() }) } else { Ok(()) }
         });

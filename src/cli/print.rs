@@ -4,6 +4,7 @@ use std::path::Path;
 
 use luxel::Baked;
 use luxel::plan::Plan;
+use luxel_export::report::Warning;
 use serde_json::json;
 
 use crate::cli::progress::{Style, duration, event, out, say};
@@ -27,14 +28,18 @@ pub fn baked(style: Style, scene: &Path, baked: &Baked) {
             "warnings": report.warnings,
         })),
         Style::Lines | Style::Bar => {
-            for warning in &report.warnings {
-                say(&format!("  note: {}", warning.message));
-            }
+            notes(&report.warnings);
             for file in &baked.files {
                 say(&format!("  wrote {}", file.display()));
             }
             say(&format!("  done in {}", duration(baked.seconds)));
         }
+    }
+}
+
+fn notes(warnings: &[Warning]) {
+    for warning in warnings {
+        say(&format!("  note: {}", warning.message));
     }
 }
 
@@ -56,14 +61,33 @@ pub fn plan(style: Style, scene: &Path, plan: &Plan) {
     let m = &plan.memory;
     let mib = |bytes: u64| bytes.div_ceil(1 << 20);
     text += &format!(
-        "  memory     about {} MiB beyond the scene: rays {}, surfels {}, texels {}, images {}\n",
+        "  memory     about {} MiB beyond the scene: rays {}, surfels {}, texels {}, images {}, files {}\n",
         mib(m.total()),
         mib(m.rays),
         mib(m.surfels),
         mib(m.texels),
-        mib(m.images)
+        mib(m.images),
+        mib(m.files)
     );
     out(&text);
+    if style != Style::Quiet {
+        notes(&plan.warnings);
+    }
+}
+
+/// A scene that failed.
+pub fn failed(style: Style, scene: &Path, error: &anyhow::Error) {
+    if style != Style::Json {
+        return failure(Some(scene), error);
+    }
+    let causes: Vec<String> = error.chain().skip(1).map(ToString::to_string).collect();
+    event(&json!({ "event": "failed", "scene": written(scene), "error": error.to_string(), "causes": causes }));
+}
+
+/// The end of a command line that could not be followed, for programs.
+pub fn misused(error: &anyhow::Error) {
+    let causes: Vec<String> = error.chain().skip(1).map(ToString::to_string).collect();
+    event(&json!({ "event": "usage", "error": error.to_string(), "causes": causes }));
 }
 
 /// An error with its causes, each on its own line.

@@ -11,7 +11,9 @@ pub mod value;
 
 pub use resolve::{Layer, Origin, Resolved, SettingsError, resolve};
 use value::*;
-pub use value::{Area, Closed, DirectionSet, DoubleSided, GatherMode, Only, Preset, Rule, SkySetting, Voxels};
+pub use value::{
+    Area, Closed, DirectionSet, DoubleSided, GatherMode, Gatherer, Only, Preset, Rule, SkySetting, Voxels,
+};
 
 /// A setting: its name and how to read, write and explain it.
 #[derive(Debug)]
@@ -45,6 +47,16 @@ impl Field {
     /// Sets the value from its written form; false where that says nothing.
     pub fn assign(&self, settings: &mut Settings, text: &str) -> bool {
         (self.set)(settings, text)
+    }
+
+    /// What may be written instead of `text`: of some words the one that is meant, most likely.
+    pub fn expected(&self, text: &str) -> String {
+        let form = (self.form)();
+        let words = form.split(" | ").filter(|_| form.contains(" | "));
+        match resolve::alike(text, words) {
+            Some(word) => format!("{form}; did you mean `{word}`?"),
+            None => form,
+        }
     }
 
     pub fn find(name: &str) -> Option<&'static Field> {
@@ -158,8 +170,9 @@ settings! {
         ["count"] near_rays: Samples = Samples(16);
         /// Rays per texel of the mode final.
         ["count"] gather_rays: Samples = Samples(256);
-        /// Texels between the nodes at which indirect light is gathered before it is interpolated, finer where it
-        /// changes; 1 gathers at every texel. The stated bound of what is interpolated is an estimate.
+        /// Texels between the nodes at which sky and indirect light are gathered, finer where they change; 1 gathers at
+        /// every texel. Nodes are averaged with neighbours that agree and interpolated between, so the bound stated there
+        /// is an estimate.
         ["texels"] node_spacing: Spacing = Spacing(4);
         /// Samples on every lamp and emissive polygon: the smoothness of penumbrae.
         ["count"] shadow_samples: Samples = Samples(64);
@@ -211,15 +224,16 @@ impl Settings {
 
     /// The gather's mode states an error bound.
     pub fn states_bound(&self) -> bool {
-        matches!(self.gather_mode(), GatherMode::Auto | GatherMode::Lightcuts)
+        self.gatherer() == Gatherer::Lightcuts
     }
 
     /// `gather` with `auto` decided.
-    pub fn gather_mode(&self) -> GatherMode {
+    pub fn gatherer(&self) -> Gatherer {
         match self.gather {
-            GatherMode::Auto if self.preset == Preset::Draft => GatherMode::Lookup,
-            GatherMode::Auto => GatherMode::Lightcuts,
-            chosen => chosen,
+            GatherMode::Auto if self.preset == Preset::Draft => Gatherer::Lookup,
+            GatherMode::Auto | GatherMode::Lightcuts => Gatherer::Lightcuts,
+            GatherMode::Final => Gatherer::Final,
+            GatherMode::Lookup => Gatherer::Lookup,
         }
     }
 }

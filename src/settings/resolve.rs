@@ -44,13 +44,13 @@ pub enum SettingsError {
     Unknown { origin: Origin, name: String, suggestion: Option<&'static str> },
     #[error("{origin}: `{name} = {text}` does not fit: expected {form}")]
     Value { origin: Origin, name: &'static str, text: String, form: String },
-    #[error("{origin}: `{name}` holds a {found}; expected {form}")]
+    #[error("{origin}: `{name}` holds {found}; expected {form}")]
     Kind { origin: Origin, name: String, found: &'static str, form: String },
     #[error("{origin}: `sky`: {what}")]
     Sky { origin: Origin, what: String },
-    #[error("{path} is not valid TOML")]
+    #[error("{path} is not valid TOML; `luxel defaults` prints a file to start from")]
     Toml { path: PathBuf, source: Box<toml::de::Error> },
-    #[error("cannot read the settings in {path}")]
+    #[error("cannot read the settings in {path}; check that the file is there and may be read")]
     Read { path: PathBuf, source: std::io::Error },
     #[error("{path}: a settings file of {bytes} bytes is more than the {MAX_FILE} that are read")]
     TooLarge { path: PathBuf, bytes: u64 },
@@ -95,7 +95,7 @@ impl Layer {
                 origin: self.origin.clone(),
                 name: field.name,
                 text: text.into(),
-                form: (field.form)(),
+                form: field.expected(text),
             });
         }
         self.values.retain(|(f, _)| f.name != name);
@@ -105,18 +105,15 @@ impl Layer {
 
     /// The keys of a TOML text.
     pub fn from_toml(text: &str, origin: Origin) -> Result<Self, SettingsError> {
-        let table: toml::Table = text.parse().map_err(|e| SettingsError::Toml {
+        // A date is no value of any setting, and becomes an object here; a number that is none becomes null.
+        let table: serde_json::Map<String, Json> = toml::from_str(text).map_err(|e| SettingsError::Toml {
             path: match &origin {
                 Origin::File(path) | Origin::Extras(path) => path.clone(),
                 other => other.to_string().into(),
             },
             source: Box::new(e),
         })?;
-        // A date is no value of any setting, and becomes an object here.
-        match serde_json::to_value(table) {
-            Ok(Json::Object(object)) => Self::from_json(&object, origin),
-            _ => Ok(Self::new(origin)),
-        }
+        Self::from_json(&table, origin)
     }
 
     /// The keys of a JSON object, as scenes carry them in their extras. A table `sky` stands for the settings of the
@@ -164,7 +161,7 @@ impl Layer {
             return Err(refused(format!("there is no key `{key}`{}", did_you_mean(&near))));
         }
         let text = |key: &str| {
-            table.get(key).map(|v| plain(v).ok_or_else(|| refused(format!("`{key}` holds a {}", kind(v))))).transpose()
+            table.get(key).map(|v| plain(v).ok_or_else(|| refused(format!("`{key}` holds {}", kind(v))))).transpose()
         };
         let [color, zenith, horizon, ground, image, rotation, strength] = SKY_KEYS.map(text);
         let (rotation, strength) = (rotation?, strength?);
@@ -197,6 +194,12 @@ impl Layer {
         }
     }
 
+    /// The image that it chose for a sky.
+    pub fn sky_image(&self) -> Option<PathBuf> {
+        let chosen = self.values.iter().find(|(f, _)| f.name == "sky").and_then(|(_, text)| SkySetting::read(text));
+        if let Some(SkySetting::Image(path)) = chosen { Some(path) } else { None }
+    }
+
     fn preset(&self) -> Option<Preset> {
         self.values.iter().find(|(f, _)| f.name == "preset").and_then(|(_, text)| Preset::read(text))
     }
@@ -223,12 +226,12 @@ fn plain(value: &Json) -> Option<String> {
 /// What a value is, for messages.
 pub(super) fn kind(value: &Json) -> &'static str {
     match value {
-        Json::Array(_) => "list",
-        Json::Object(_) => "table",
-        Json::String(_) => "text",
-        Json::Number(_) => "number",
-        Json::Bool(_) => "switch",
-        Json::Null => "null",
+        Json::Array(_) => "a list",
+        Json::Object(_) => "a table",
+        Json::String(_) => "a text",
+        Json::Number(_) => "a number",
+        Json::Bool(_) => "a switch",
+        Json::Null => "no value (nan, inf and null are none)",
     }
 }
 
@@ -237,7 +240,7 @@ fn nearest(name: &str) -> Option<&'static str> {
     alike(&name.replace('-', "_").to_lowercase(), FIELDS.iter().map(|f| f.name))
 }
 
-fn alike(wanted: &str, names: impl Iterator<Item = &'static str>) -> Option<&'static str> {
+pub(super) fn alike<'a>(wanted: &str, names: impl Iterator<Item = &'a str>) -> Option<&'a str> {
     names
         .map(|name| (strsim::jaro_winkler(wanted, name), name))
         .filter(|(likeness, _)| *likeness > 0.75)
@@ -286,7 +289,7 @@ pub fn resolve(layers: &[Layer]) -> Result<Resolved, SettingsError> {
                     origin: layer.origin.clone(),
                     name: field.name,
                     text: text.clone(),
-                    form: (field.form)(),
+                    form: field.expected(text),
                 });
             }
             if let Some(i) = FIELDS.iter().position(|f| f.name == field.name) {
@@ -340,6 +343,12 @@ mod tests {
         assert!(file("[size]\na = 1").unwrap_err().to_string().contains("holds a table"));
         assert!(file("size = 1.5").unwrap_err().to_string().contains("does not fit"));
         assert!(file("size = [").is_err());
+        for none in ["nan", "inf"] {
+            let said = file(&format!("sky_strength = {none}")).unwrap_err().to_string();
+            assert!(said.contains("`sky_strength` holds no value") && said.contains("expected a number"), "{said}");
+        }
+        let said = file("preset = \"darft\"").unwrap_err().to_string();
+        assert!(said.ends_with("draft | medium | final; did you mean `draft`?"), "{said}");
     }
 
     #[test]

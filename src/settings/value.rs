@@ -125,6 +125,25 @@ words! {
     }
 }
 
+/// How indirect light is gathered at texels, decided.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Gatherer {
+    Lightcuts,
+    Final,
+    Lookup,
+}
+
+impl Gatherer {
+    /// As the setting `gather` is written.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Lightcuts => "lightcuts",
+            Self::Final => "final",
+            Self::Lookup => "lookup",
+        }
+    }
+}
+
 words! {
     /// Which side's irradiance the texels of a double-sided material hold.
     DoubleSided {

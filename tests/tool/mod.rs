@@ -14,6 +14,7 @@ use luxel_export::{Lightmap, sample_lightmap};
 use luxel_scene::{ImportOptions, Scene, import};
 use luxel_transport::{geometry::Geometry, rays::Rays, sampling::r2};
 use serde_json::Value;
+use tempfile::TempDir;
 
 /// No bake of a test scene takes longer, on a loaded machine of two cores.
 pub const LIMIT: Duration = Duration::from_secs(120);
@@ -66,6 +67,31 @@ impl Run {
         assert!(!self.stderr.contains("internal error") && !self.stderr.contains("panicked"), "{}", self.stderr);
         self
     }
+}
+
+/// Settings with which a shipped scene bakes in a moment.
+pub const QUICK: [&str; 8] = ["--preset", "draft", "--size", "64", "--voxels", "3000", "--directions", "64"];
+
+/// Runs the binary with [`QUICK`].
+pub fn quick(args: &[&str], folder: &Path) -> Run {
+    luxel(&[args, &QUICK].concat(), folder)
+}
+
+/// A folder with copies of shipped scenes.
+pub fn folder(scenes: &[&str]) -> TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    for scene in scenes {
+        std::fs::copy(asset(scene), folder.path().join(scene)).unwrap();
+    }
+    folder
+}
+
+/// JSON and binary chunk of a shipped scene.
+pub fn parts(name: &str) -> (Value, Vec<u8>) {
+    let bytes = std::fs::read(asset(name)).unwrap();
+    let length = u32::from_le_bytes(bytes[12..16].try_into().unwrap()) as usize;
+    let (json, rest) = bytes[20..].split_at(length);
+    (serde_json::from_slice(json).unwrap(), rest[8..].to_vec())
 }
 
 /// A scene that luxel ships.

@@ -6,8 +6,8 @@ use std::path::PathBuf;
 #[derive(Debug, thiserror::Error)]
 pub enum ExportError {
     /// Reading or writing a file failed.
-    #[error("cannot {what} {}: {source}", path.display())]
-    Io { what: &'static str, path: PathBuf, source: std::io::Error },
+    #[error("cannot {what} {}: {cause}; see whether there is space and permission", path.display())]
+    Io { what: &'static str, path: PathBuf, cause: std::io::Error },
     /// The scene file breaks the glTF specification or a limit at a place that the export needs.
     #[error(transparent)]
     Scene(#[from] luxel_scene::ImportError),
@@ -26,8 +26,8 @@ pub enum ExportError {
 }
 
 impl ExportError {
-    pub(crate) fn io(what: &'static str, path: &std::path::Path, source: std::io::Error) -> Self {
-        Self::Io { what, path: path.into(), source }
+    pub(crate) fn io(what: &'static str, path: &std::path::Path, cause: std::io::Error) -> Self {
+        Self::Io { what, path: path.into(), cause }
     }
 
     pub(crate) fn encode(what: impl Into<String>, fault: impl ToString) -> Self {

@@ -24,7 +24,7 @@ pub use atomic::{write_atomic, write_atomic_parts};
 pub use error::ExportError;
 pub use gltf::{Glb, Original};
 pub use lightmap::{BoundMap, Lightmap, sample_lightmap};
-pub use openexr::{Depth, write_exr};
+pub use openexr::Depth;
 pub use output::{Files, OutputSet, is_output};
 pub use png::{Image8, encode_png};
 pub use report::Report;

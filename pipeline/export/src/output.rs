@@ -114,6 +114,24 @@ impl OutputSet {
         (0..pages).filter_map(|p| self.lightmap(p, pages).file_name()?.to_str().map(str::to_owned)).collect()
     }
 
+    /// Sees that no folder lies where a file of a bake would: neither can it take its place, nor be tidied away later.
+    ///
+    /// # Errors
+    /// Names the folder.
+    pub fn check_names(&self) -> Result<(), ExportError> {
+        let named = |path: &PathBuf| {
+            let own = [self.glb(), self.report()].contains(path);
+            own || path.file_name().and_then(|n| n.to_str()).is_some_and(|n| self.is_image_name(n))
+        };
+        match self.listed()?.into_iter().find(|path| path.is_dir() && named(path)) {
+            Some(path) => {
+                let fault = "a folder lies where a file of the bake would: move it, or choose another place with --out";
+                Err(ExportError::Place { path, fault: fault.into() })
+            }
+            None => Ok(()),
+        }
+    }
+
     /// Writes images, glb, and last the report, which thereby lists the hashes of all the others. All files are
     /// complete and on the disk under temporary names before the first takes its place: when one cannot be written, all
     /// old ones stay. Images of an earlier bake that this one has not (other pages, no bound, no preview) are removed
@@ -158,23 +176,24 @@ impl OutputSet {
 
     /// Lightmap, bound and preview images in the folder that bear this stem's name and are not among `current`.
     fn stale(&self, current: &[&PathBuf]) -> Result<Vec<PathBuf>, ExportError> {
-        let entries = match std::fs::read_dir(&self.folder) {
-            Ok(entries) => entries,
-            Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(Vec::new()),
-            Err(e) => return Err(ExportError::io("list the folder", &self.folder, e)),
+        let outdated = |path: &PathBuf| {
+            let name = path.file_name();
+            let is_image = name.and_then(|n| n.to_str()).is_some_and(|n| self.is_image_name(n));
+            is_image && !current.iter().any(|c| c.file_name() == name)
         };
-        let mut stale = Vec::new();
-        for entry in entries {
-            let entry = entry.map_err(|e| ExportError::io("list the folder", &self.folder, e))?;
-            let name = entry.file_name();
-            if name.to_str().is_some_and(|n| self.is_image_name(n))
-                && !current.iter().any(|c| c.file_name() == Some(&name))
-            {
-                stale.push(entry.path());
-            }
-        }
-        stale.sort();
-        Ok(stale)
+        Ok(self.listed()?.into_iter().filter(outdated).collect())
+    }
+
+    /// What lies in the folder, sorted; nothing where there is none.
+    fn listed(&self) -> Result<Vec<PathBuf>, ExportError> {
+        let failed = |e| ExportError::io("list the folder", &self.folder, e);
+        let entries = match fs::read_dir(&self.folder) {
+            Err(e) if e.kind() == io::ErrorKind::NotFound => return Ok(Vec::new()),
+            entries => entries.map_err(failed)?,
+        };
+        let mut listed = entries.map(|e| e.map(|e| e.path())).collect::<io::Result<Vec<_>>>().map_err(failed)?;
+        listed.sort();
+        Ok(listed)
     }
 
     /// `stem.lightmap.exr`, `stem.bound.3.exr`, `stem.preview.png` and the like.
@@ -213,16 +232,10 @@ fn output(path: &Path, bytes: &[u8]) -> Output {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::atomic::tests::names;
     use crate::report::SceneInfo;
     use glam::Vec3;
     use std::fs;
-
-    fn names(folder: &Path) -> Vec<String> {
-        let mut names: Vec<_> =
-            fs::read_dir(folder).unwrap().map(|e| e.unwrap().file_name().into_string().unwrap()).collect();
-        names.sort();
-        names
-    }
 
     fn write(set: &OutputSet, pages: usize) -> Report {
         let map = Lightmap::new(2, 1, vec![Vec3::ONE; 2], vec![1.0; 2]).unwrap();
@@ -354,6 +367,25 @@ mod tests {
         assert!(all().into_iter().eq(kept));
         write_until(4).unwrap();
         assert_eq!(fs::read(set.glb()).unwrap(), b"n");
+    }
+
+    #[test]
+    fn a_folder_in_the_place_of_a_file_is_named_beforehand() {
+        let dir = tempfile::tempdir().unwrap();
+        let set = OutputSet::new(&dir.path().join("level.glb"), None, None).unwrap();
+        set.check_names().unwrap();
+        write(&set, 2);
+        set.check_names().unwrap();
+        for name in ["level.glb", "level.bake.json", "level.preview.png", "level.lightmap.7.exr", "level.bound.exr"] {
+            let path = set.folder().join(name);
+            drop(fs::remove_file(&path));
+            fs::create_dir(&path).unwrap();
+            let error = set.check_names().unwrap_err().to_string();
+            assert!(error.contains(name) && error.contains("--out"), "{error}");
+            fs::remove_dir(&path).unwrap();
+        }
+        fs::create_dir(set.folder().join("level.lightmaps.exr")).unwrap();
+        set.check_names().unwrap();
     }
 
     #[test]

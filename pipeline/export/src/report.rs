@@ -4,7 +4,7 @@
 //! are seconds of wall clock, light is in SI photometric units, hashes are BLAKE3 as 64 hexadecimal digits. A field
 //! that does not apply is absent; no field is ever null.
 
-use std::{collections::BTreeMap, path::Path};
+use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
@@ -213,11 +213,6 @@ impl Report {
         let mut bytes = serde_json::to_vec_pretty(&value).map_err(|e| ExportError::encode("the report", e))?;
         bytes.push(b'\n');
         Ok(bytes)
-    }
-
-    /// Writes the report atomically.
-    pub fn write(&self, path: &Path) -> Result<(), ExportError> {
-        crate::write_atomic(path, &self.to_json()?)
     }
 }
 

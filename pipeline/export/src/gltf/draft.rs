@@ -10,7 +10,7 @@ use luxel_scene::import::{Checked, Fault, buffers::MESHOPT};
 use serde_json::{Value, json};
 
 use super::{
-    json::{Object, list, list_mut, objects_mut},
+    json::{self, Object, list, list_mut, objects_mut},
     original::{Blob, Original},
     references::{self, Each},
 };
@@ -144,7 +144,7 @@ impl<'a> Draft<'a> {
             _ => Object::new(),
         };
         buffer.shift_remove("uri");
-        MESHOPT.iter().for_each(|n| super::json::remove_extension(&mut buffer, n));
+        MESHOPT.iter().for_each(|n| json::remove_extension(&mut buffer, n));
         buffer.insert("byteLength".into(), length.into());
         self.root.insert("buffers".into(), Value::Array(vec![Value::Object(buffer)]));
     }
@@ -198,19 +198,26 @@ fn put(root: &mut Object, key: &str, each: Each, new: Vec<Value>, slots: &[usize
     if new.is_empty() {
         return Ok(());
     }
-    let old = list(root, key).len();
+    follow(root, each, list(root, key).len(), slots);
+    slots.iter().zip(new).try_for_each(|(slot, value)| put_item(root, key, *slot, value))
+}
+
+/// Points every reference to the provisional index `old + k` at `slots[k]`.
+pub fn follow(root: &mut Object, each: Each, old: usize, slots: &[usize]) {
     each(root, &mut |reference| {
-        let index = reference.as_u64().and_then(|n| usize::try_from(n).ok());
-        if let Some(slot) = index.and_then(|i| i.checked_sub(old)).and_then(|k| slots.get(k)) {
+        let provisional = json::index(reference).and_then(|i| i.checked_sub(old));
+        if let Some(slot) = provisional.and_then(|k| slots.get(k)) {
             *reference = (*slot).into();
         }
     });
+}
+
+/// Replaces an item, or adds it at the end.
+pub fn put_item(root: &mut Object, key: &str, slot: usize, value: Value) -> Checked<()> {
     let items = list_mut(root, key)?;
-    for (slot, value) in slots.iter().zip(new) {
-        match items.get_mut(*slot) {
-            Some(item) => *item = value,
-            None => items.push(value),
-        }
+    match items.get_mut(slot) {
+        Some(item) => *item = value,
+        None => items.push(value),
     }
     Ok(())
 }

@@ -21,7 +21,7 @@ pub fn expand(root: &mut Object, original: &Original, node: usize) -> Checked<Ve
     let attributes = attributes.ok_or_else(|| Fault::invalid(&name, "it has no instance attributes"))?;
     let mut columns = Vec::new();
     for (semantic, reference) in attributes {
-        let index = reference.as_u64().and_then(|n| usize::try_from(n).ok());
+        let index = super::json::index(reference);
         let index = index.ok_or_else(|| Fault::invalid(&name, "it has an instance attribute that is no accessor"))?;
         columns.push(Column::new(original, semantic, index)?);
     }

@@ -41,9 +41,14 @@ pub fn item_mut<'a>(root: &'a mut Object, key: &str, i: usize) -> Checked<&'a mu
     value.ok_or_else(|| Fault::invalid(name, "it is missing or not an object"))
 }
 
+/// A count, index or offset.
+pub fn index(value: &Value) -> Option<usize> {
+    value.as_u64().and_then(|n| usize::try_from(n).ok())
+}
+
 /// An optional count, index or offset.
 pub fn number(object: &Object, key: &str) -> Option<usize> {
-    object.get(key).and_then(Value::as_u64).and_then(|n| usize::try_from(n).ok())
+    object.get(key).and_then(index)
 }
 
 /// The object of an extension.

@@ -16,7 +16,6 @@ use super::{
     references,
 };
 
-const EXTENSION: &str = "MOZ_lightmap";
 /// The texture coordinate set that holds atlas coordinates.
 pub const SET: usize = 1;
 
@@ -49,7 +48,7 @@ impl Materials {
         }
         let mut outcome = Ok(());
         references::primitive_materials(primitive, &mut |reference| {
-            let Some(index) = reference.as_u64().and_then(|n| usize::try_from(n).ok()) else { return };
+            let Some(index) = super::json::index(reference) else { return };
             // Variants are visited after the material, and none of them twice: a provisional index never comes back.
             match self.copy(original, Some(index), picture, moved) {
                 Ok(copy) => *reference = copy.into(),
@@ -74,13 +73,13 @@ impl Materials {
             Some(index) => item(&original.root, "materials", index)?.clone(),
             None => plaster(),
         };
-        remove_extension(&mut copy, EXTENSION);
+        remove_extension(&mut copy, references::LIGHTMAP);
         if let Some(set) = moved {
             move_sets(&mut copy, set);
         }
         let (texture, intensity, mark) = self.pages.texture(picture)?;
         let lightmap = json!({ "index": texture, "texCoord": SET, "intensity": intensity });
-        object_mut(&mut copy, "extensions")?.insert(EXTENSION.into(), lightmap);
+        object_mut(&mut copy, "extensions")?.insert(references::LIGHTMAP.into(), lightmap);
         add_extra(&mut copy, "luxel", mark);
         self.copies.push((material, Value::Object(copy)));
         self.known.insert(key, self.copies.len() - 1);
@@ -90,7 +89,7 @@ impl Materials {
     /// Gives the copies and the textures of the pages their places.
     pub fn settle(self, draft: &mut Draft) -> Checked<()> {
         if !self.copies.is_empty() {
-            declare_extension(&mut draft.root, EXTENSION)?;
+            declare_extension(&mut draft.root, references::LIGHTMAP)?;
         }
         // A stranger that means the old material must not get somebody's lightmap with it.
         let possible = references::possible(&draft.root);
@@ -118,7 +117,7 @@ pub fn new_set(original: &Original, primitive: &Object) -> Checked<Option<usize>
     let mut primitive = primitive.clone();
     let mut outcome = Ok(());
     references::primitive_materials(&mut primitive, &mut |reference| {
-        let index = reference.as_u64().and_then(|n| usize::try_from(n).ok()).unwrap_or(usize::MAX);
+        let index = super::json::index(reference).unwrap_or(usize::MAX);
         match item(&original.root, "materials", index) {
             Ok(material) => collect_sets(material.clone(), &mut sets),
             Err(fault) => outcome = Err(fault),
@@ -135,8 +134,8 @@ pub fn new_set(original: &Original, primitive: &Object) -> Checked<Option<usize>
 }
 
 fn collect_sets(mut material: Object, sets: &mut Vec<usize>) {
-    remove_extension(&mut material, EXTENSION);
-    texture_infos(&mut material, &mut |info| {
+    remove_extension(&mut material, references::LIGHTMAP);
+    references::texture_infos(&mut material, &mut |info| {
         sets.push(number(info, "texCoord").unwrap_or(0));
         sets.extend(super::json::extension(info, "KHR_texture_transform").and_then(|t| number(t, "texCoord")));
     });
@@ -148,25 +147,9 @@ fn move_sets(material: &mut Object, to: usize) {
             object.insert("texCoord".into(), to.into());
         }
     };
-    texture_infos(material, &mut |info| {
+    references::texture_infos(material, &mut |info| {
         shift(info);
         let transform = info.get_mut("extensions").and_then(|e| e.get_mut("KHR_texture_transform"));
         transform.and_then(Value::as_object_mut).into_iter().for_each(shift);
     });
-}
-
-/// Calls `f` on every texture reference of a material, those of extensions included: an object with an integer
-/// `index`, wherever it is. The JSON reader has bounded the depth.
-fn texture_infos(object: &mut Object, f: &mut dyn FnMut(&mut Object)) {
-    if number(object, "index").is_some() {
-        f(object);
-    }
-    for (key, value) in object.iter_mut() {
-        match value {
-            _ if key == "extras" => {}
-            Value::Object(inner) => texture_infos(inner, f),
-            Value::Array(items) => items.iter_mut().filter_map(Value::as_object_mut).for_each(|o| texture_infos(o, f)),
-            _ => {}
-        }
-    }
 }

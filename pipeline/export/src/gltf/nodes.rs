@@ -166,9 +166,9 @@ fn plan<'a>(scene: &Scene, atlas: &'a Atlas, pictures: &Pictures) -> Checked<BTr
 
 /// Draco goes off the lists when no primitive uses it any more.
 fn forget_draco(root: &mut Object) {
-    const DRACO: &str = "KHR_draco_mesh_compression";
-    let uses = |m: &mut Object| objects_mut(m, "primitives").any(|p| super::json::extension(p, DRACO).is_some());
+    let uses =
+        |m: &mut Object| objects_mut(m, "primitives").any(|p| super::json::extension(p, references::DRACO).is_some());
     if !objects_mut(root, "meshes").any(uses) {
-        forget_extension(root, DRACO);
+        forget_extension(root, references::DRACO);
     }
 }

@@ -1,15 +1,17 @@
 //! The scene file as it was, with everything that it names read into memory.
 //!
-//! The importer's reader opens it, so that both see the same bytes under the same limits. Compressed bufferViews are
+//! The importer's reader opens it, so that both see the same bytes under the same limits; what a .glb cannot count is
+//! refused on top. Every file is read once, however often it is named. Compressed bufferViews are
 //! decoded and images become bufferViews at once, so that the later steps know one kind of data only. No index changes
 //! its meaning here: lists only grow at their ends.
 
+use std::collections::BTreeMap;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use luxel_scene::Notice;
 use luxel_scene::import::{
-    Checked, Fault, Limits, Opened,
+    Checked, Fault, FaultKind, Limits, Opened,
     accessors::Elements,
     buffers::{Buffers, MESHOPT},
     files::{Files, media_type},
@@ -19,7 +21,7 @@ use serde_json::Value;
 use super::json::{self, Object, item, item_mut, list, list_mut, place};
 use crate::ExportError;
 
-/// A .glb counts its bytes in 32 bits, so no larger file can go into one.
+/// A .glb counts its bytes in 32 bits, so no more can go into one.
 const LARGEST: u64 = u32::MAX as u64;
 
 /// Where the bytes of a bufferView are.
@@ -44,18 +46,25 @@ pub struct Original {
 impl Original {
     /// Reads a .gltf or .glb with all buffers and images. Errors name the file and the place in it.
     pub fn read(path: &Path) -> Result<Self, ExportError> {
-        Self::load(path).map_err(|fault| fault.in_file(path).into())
+        Self::load(path, LARGEST).map_err(|fault| fault.in_file(path).into())
     }
 
-    fn load(path: &Path) -> Checked<Self> {
-        let limits = Limits { file_bytes: LARGEST, ..Limits::default() };
-        let Opened { json, buffers, files } = Opened::read(path, &limits)?;
+    /// Refuses more than `largest` bytes of buffers and images.
+    fn load(path: &Path, largest: u64) -> Checked<Self> {
+        let Opened { json, buffers, files } = Opened::read(path, &Limits::default())?;
         let root: Value = serde_json::from_slice(&json).map_err(|e| Fault::invalid("JSON", e.to_string()))?;
         let Value::Object(root) = root else { return Err(Fault::invalid("JSON", "it is not an object")) };
         let mut original = Self { path: path.into(), root, buffers, taken_in: Vec::new(), notices: Vec::new(), files };
         original.check_views()?;
-        original.load_images()?;
+        original.check_size("", largest)?;
+        original.load_images(largest)?;
         Ok(original)
+    }
+
+    /// Bytes of all buffers and images.
+    pub fn bytes(&self) -> u64 {
+        let buffers = (0..self.buffers.document().root.buffers.len()).map(|i| self.buffers.bytes(i).len());
+        buffers.chain(self.taken_in.iter().map(Vec::len)).map(|n| n as u64).sum()
     }
 
     /// Files that the importer read too must have had the same bytes then.
@@ -108,31 +117,59 @@ impl Original {
         Ok(())
     }
 
-    /// Turns images with URIs into bufferViews. An image that cannot be had keeps its URI, with a notice: nothing of
-    /// the lightmap depends on it.
-    fn load_images(&mut self) -> Checked<()> {
+    /// Turns images with URIs into bufferViews, equal URIs into one. An image that cannot be had keeps its URI, with a
+    /// notice: nothing of the lightmap depends on it.
+    fn load_images(&mut self, largest: u64) -> Checked<()> {
+        // View and media type by URI.
+        let mut known: BTreeMap<String, (usize, String)> = BTreeMap::new();
         for i in 0..list(&self.root, "images").len() {
             let image = item(&self.root, "images", i)?;
             let Some(uri) = image.get("uri").and_then(Value::as_str).map(str::to_owned) else { continue };
-            let bytes = match self.files.fetch(&uri, &place(&self.root, "images", i)) {
-                Ok(bytes) => bytes,
-                Err(fault) => {
-                    let message = format!("{}: it is not embedded: {}", fault.place, fault.what);
-                    self.notices.push(Notice { code: "image-left-out", message });
-                    continue;
+            let (view, kind) = match known.get(&uri) {
+                Some(found) => found.clone(),
+                None => {
+                    let at = place(&self.root, "images", i);
+                    let bytes = match self.files.fetch(&uri, &at) {
+                        Ok(bytes) => bytes,
+                        Err(fault) => {
+                            let message = format!("{}: it is not embedded: {}", fault.place, fault.what);
+                            self.notices.push(Notice { code: "image-left-out", message });
+                            continue;
+                        }
+                    };
+                    let found = self.take_in(bytes, &uri)?;
+                    self.check_size(&at, largest)?;
+                    known.insert(uri, found.clone());
+                    found
                 }
             };
-            let kind = image_type(&bytes, &uri).to_owned();
-            let views = list_mut(&mut self.root, "bufferViews")?;
-            views.push(serde_json::json!({ "buffer": 0, "byteLength": bytes.len() }));
-            let view = views.len() - 1;
-            self.taken_in.push(bytes);
             let image = item_mut(&mut self.root, "images", i)?;
             image.shift_remove("uri");
             image.entry("mimeType").or_insert(kind.into());
             image.insert("bufferView".into(), view.into());
         }
         Ok(())
+    }
+
+    /// Makes a bufferView of an image; returns its index and the image's media type.
+    fn take_in(&mut self, bytes: Vec<u8>, uri: &str) -> Checked<(usize, String)> {
+        let kind = image_type(&bytes, uri).to_owned();
+        let views = list_mut(&mut self.root, "bufferViews")?;
+        views.push(serde_json::json!({ "buffer": 0, "byteLength": bytes.len() }));
+        let view = views.len() - 1;
+        self.taken_in.push(bytes);
+        Ok((view, kind))
+    }
+
+    /// Sees that what was read so far goes into a .glb.
+    fn check_size(&self, place: &str, largest: u64) -> Checked<()> {
+        let bytes = self.bytes();
+        if bytes <= largest {
+            return Ok(());
+        }
+        let what = format!("buffers and images have {bytes} bytes so far, more than the {largest} of a .glb");
+        let hint = "a .glb counts in 32 bits: bake the scene in several parts, or with smaller textures";
+        Err(Fault::new(FaultKind::Limit, place, what, hint))
     }
 }
 
@@ -161,5 +198,39 @@ fn image_type<'a>(image: &[u8], uri: &'a str) -> &'a str {
     match found {
         Some((_, _, kind)) => kind,
         None => media_type(uri).unwrap_or("application/octet-stream"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    /// A scene whose images are these URIs, beside `a.png` of 100 bytes.
+    fn scene(uris: &[&str]) -> (tempfile::TempDir, PathBuf) {
+        let dir = tempfile::tempdir().unwrap();
+        std::fs::write(dir.path().join("a.png"), [7; 100]).unwrap();
+        let images: Vec<Value> = uris.iter().map(|uri| json!({ "uri": uri })).collect();
+        let path = dir.path().join("level.gltf");
+        std::fs::write(&path, json!({ "asset": { "version": "2.0" }, "images": images }).to_string()).unwrap();
+        (dir, path)
+    }
+
+    #[test]
+    fn an_image_that_is_named_often_is_held_once() {
+        let (_dir, path) = scene(&["a.png"; 10_000]);
+        let original = Original::read(&path).unwrap();
+        assert_eq!((original.bytes(), original.views()), (100, 1));
+        let images = list(&original.root, "images");
+        assert!(images.len() == 10_000 && images.iter().all(|i| i["bufferView"] == 0 && i.get("uri").is_none()));
+    }
+
+    #[test]
+    fn images_are_refused_once_they_are_too_many_for_a_glb() {
+        let (_dir, path) = scene(&["a.png", "./a.png", "././a.png"]);
+        assert_eq!(Original::load(&path, 300).unwrap().bytes(), 300);
+        let Err(fault) = Original::load(&path, 299) else { panic!("300 bytes are more than 299") };
+        assert!(fault.kind == FaultKind::Limit && fault.place == "image 2", "{fault}");
+        assert!(fault.to_string().contains("32 bits"), "{fault}");
     }
 }

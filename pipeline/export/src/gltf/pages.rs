@@ -11,9 +11,9 @@ use luxel_scene::import::Checked;
 use serde_json::{Value, json};
 
 use super::{
-    draft::{Draft, Target},
+    draft::{Draft, Target, follow, put_item},
     exposure::Picture,
-    json::{Object, list, list_mut},
+    json::{self, Object, list, list_mut},
     mismatch,
     original::Original,
     references,
@@ -37,7 +37,7 @@ pub struct Pages {
 
 impl Pages {
     pub fn new(original: &Original, list: Vec<PageTexture>) -> Self {
-        Self { list, shown: Vec::new(), old: super::json::list(&original.root, "textures").len() }
+        Self { list, shown: Vec::new(), old: json::list(&original.root, "textures").len() }
     }
 
     /// The provisional texture index of a picture, the intensity of its bytes, and [`mark`].
@@ -68,12 +68,7 @@ impl Pages {
         let used: BTreeSet<usize> = textures.iter().enumerate().flat_map(stay).collect();
         let old_images = list(&draft.root, "images").len();
         let image_slots = free(&our_images, &used, &possible, old_images, self.shown.len());
-        references::lightmaps(&mut draft.root, &mut |reference| {
-            let index = reference.as_u64().and_then(|n| usize::try_from(n).ok());
-            if let Some(slot) = index.and_then(|i| i.checked_sub(self.old)).and_then(|k| slots.get(k)) {
-                *reference = (*slot).into();
-            }
-        });
+        follow(&mut draft.root, references::lightmaps, self.old, &slots);
         let sampler = sampler(&mut draft.root)?;
         let mut list: Vec<Option<PageTexture>> = self.list.into_iter().map(Some).collect();
         for ((picture, slot), image) in self.shown.iter().zip(slots).zip(image_slots) {
@@ -82,9 +77,9 @@ impl Pages {
             let extras = json!({ "luxel": mark(&shown) });
             let view = draft.add_view(shown.png, Target::Other);
             let picture = json!({ "name": name, "bufferView": view, "mimeType": "image/png" });
-            put(draft, "images", image, picture)?;
+            put_item(&mut draft.root, "images", image, picture)?;
             let texture = json!({ "name": name, "sampler": sampler, "source": image, "extras": extras });
-            put(draft, "textures", slot, texture)?;
+            put_item(&mut draft.root, "textures", slot, texture)?;
         }
         Ok(())
     }
@@ -111,8 +106,8 @@ fn free(
 /// The images of a texture, those by extensions included.
 fn sources(texture: &Value) -> Vec<usize> {
     let extensions = texture["extensions"].as_object().into_iter().flat_map(Object::values);
-    let all = [texture].into_iter().chain(extensions).filter_map(|t| t["source"].as_u64());
-    all.filter_map(|n| usize::try_from(n).ok()).collect()
+    let all = [texture].into_iter().chain(extensions).filter_map(|t| json::index(&t["source"]));
+    all.collect()
 }
 
 /// A sampler for lightmaps: linear, no mipmaps (charts would bleed into each other), clamped. One that is there
@@ -124,14 +119,4 @@ fn sampler(root: &mut Object) -> Checked<usize> {
         samplers.push(linear);
         samplers.len() - 1
     }))
-}
-
-/// Replaces an item, or adds it at the end.
-fn put(draft: &mut Draft, key: &str, slot: usize, value: Value) -> Checked<()> {
-    let items = list_mut(&mut draft.root, key)?;
-    match items.get_mut(slot) {
-        Some(item) => *item = value,
-        None => items.push(value),
-    }
-    Ok(())
 }

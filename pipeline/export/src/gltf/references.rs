@@ -1,25 +1,32 @@
-//! Who refers to which accessor and bufferView.
+//! Who refers to which accessor, bufferView, mesh, material and texture.
 //!
 //! The glTF specification and the extensions that luxel knows refer from the places listed here. Any other extension
-//! may hold an index anywhere: every integer inside one counts as a possible reference, so that what it may mean stays
-//! where it is.
+//! may hold an index of anything anywhere: every integer inside one counts as a possible reference, so that whatever it
+//! may mean, of these and of images, stays where it is.
 
 use std::collections::BTreeSet;
 
 use serde_json::Value;
 
-use super::json::{Object, objects_mut};
+use super::json::{Object, index, number, objects_mut};
 
-/// Extensions of which it is known that they hold no index of an accessor or bufferView, besides all those that begin
-/// with `KHR_materials_`, `KHR_texture_`, `EXT_texture_` or `KHR_lights_`.
+/// The extension by which a material carries its lightmap.
+pub const LIGHTMAP: &str = "MOZ_lightmap";
+
+/// The extension of compressed primitives.
+pub const DRACO: &str = "KHR_draco_mesh_compression";
+
+/// Extensions of which it is known that they hold no index that is not visited here (or by `pages`, which knows the
+/// images of textures), besides all those that begin with `KHR_materials_`, `KHR_texture_`, `EXT_texture_` or
+/// `KHR_lights_`.
 const HARMLESS: [&str; 7] = [
     "EXT_mesh_gpu_instancing",
-    "KHR_draco_mesh_compression",
+    DRACO,
     "KHR_mesh_quantization",
     "KHR_animation_pointer",
     "KHR_node_visibility",
     "KHR_xmp_json_ld",
-    "MOZ_lightmap",
+    LIGHTMAP,
 ];
 
 /// One of the walks below: calls a function on every reference to one kind of item.
@@ -60,7 +67,7 @@ pub fn views(root: &mut Object, f: &mut dyn FnMut(&mut Value)) {
     objects_mut(root, "images").filter_map(|i| i.get_mut("bufferView")).for_each(&mut *f);
     for mesh in objects_mut(root, "meshes") {
         for primitive in objects_mut(mesh, "primitives") {
-            let draco = primitive.get_mut("extensions").and_then(|e| e.get_mut("KHR_draco_mesh_compression"));
+            let draco = primitive.get_mut("extensions").and_then(|e| e.get_mut(DRACO));
             draco.and_then(|d| d.get_mut("bufferView")).into_iter().for_each(&mut *f);
         }
     }
@@ -86,19 +93,23 @@ pub fn primitive_materials(primitive: &mut Object, f: &mut dyn FnMut(&mut Value)
     mappings.into_iter().flatten().filter_map(|m| m.get_mut("material")).for_each(f);
 }
 
-/// Calls `f` on everything in a material that may refer to a texture: an integer `index`, wherever it is. The JSON reader
-/// has bounded the depth.
+/// Calls `f` on everything in a material that may refer to a texture.
 pub fn textures(root: &mut Object, f: &mut dyn FnMut(&mut Value)) {
-    objects_mut(root, "materials").for_each(|m| indices(m, f));
+    objects_mut(root, "materials")
+        .for_each(|m| texture_infos(m, &mut |info| info.get_mut("index").into_iter().for_each(&mut *f)));
 }
 
-fn indices(object: &mut Object, f: &mut dyn FnMut(&mut Value)) {
+/// Calls `f` on every texture reference of a material, those of extensions included: an object with an integer
+/// `index`, wherever it is. The JSON reader has bounded the depth.
+pub fn texture_infos(object: &mut Object, f: &mut dyn FnMut(&mut Object)) {
+    if number(object, "index").is_some() {
+        f(object);
+    }
     for (key, value) in object.iter_mut() {
         match value {
             _ if key == "extras" => {}
-            Value::Number(_) if key == "index" => f(value),
-            Value::Object(inner) => indices(inner, f),
-            Value::Array(items) => items.iter_mut().filter_map(Value::as_object_mut).for_each(|o| indices(o, f)),
+            Value::Object(inner) => texture_infos(inner, f),
+            Value::Array(items) => items.iter_mut().filter_map(Value::as_object_mut).for_each(|o| texture_infos(o, f)),
             _ => {}
         }
     }
@@ -107,7 +118,7 @@ fn indices(object: &mut Object, f: &mut dyn FnMut(&mut Value)) {
 /// Calls `f` on every reference of a material to its lightmap.
 pub fn lightmaps(root: &mut Object, f: &mut dyn FnMut(&mut Value)) {
     for material in objects_mut(root, "materials") {
-        let lightmap = material.get_mut("extensions").and_then(|e| e.get_mut("MOZ_lightmap"));
+        let lightmap = material.get_mut("extensions").and_then(|e| e.get_mut(LIGHTMAP));
         lightmap.and_then(|l| l.get_mut("index")).into_iter().for_each(&mut *f);
     }
 }
@@ -154,7 +165,7 @@ fn integers(value: &Value, found: &mut BTreeSet<usize>) {
     let mut open = vec![value];
     while let Some(value) = open.pop() {
         match value {
-            Value::Number(n) => found.extend(n.as_u64().and_then(|n| usize::try_from(n).ok())),
+            Value::Number(_) => found.extend(index(value)),
             Value::Array(items) => open.extend(items),
             Value::Object(object) => open.extend(object.values()),
             _ => {}
@@ -169,7 +180,7 @@ fn values(object: Option<&mut Value>, f: &mut dyn FnMut(&mut Value)) {
 /// Indices that `each` meets.
 pub fn used(root: &mut Object, each: Each) -> BTreeSet<usize> {
     let mut found = BTreeSet::new();
-    each(root, &mut |v| found.extend(v.as_u64().and_then(|n| usize::try_from(n).ok())));
+    each(root, &mut |v| found.extend(index(v)));
     found
 }
 

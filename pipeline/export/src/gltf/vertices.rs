@@ -72,7 +72,7 @@ impl Vertices {
         if new.contains_key("mode") {
             new.insert("mode".into(), 4.into());
         }
-        super::json::remove_extension(&mut new, "KHR_draco_mesh_compression");
+        super::json::remove_extension(&mut new, super::references::DRACO);
         Ok(new)
     }
 }
@@ -106,7 +106,7 @@ fn copy(draft: &mut Draft, original: &Original, old: &Object, name: &str, source
     let position = number(attributes, "POSITION").ok_or_else(missing)?;
     let plain = item(&original.root, "accessors", position)?;
     let without_data = !plain.contains_key("bufferView") && !plain.contains_key("sparse");
-    if super::json::extension(old, "KHR_draco_mesh_compression").is_some() && without_data {
+    if super::json::extension(old, super::references::DRACO).is_some() && without_data {
         return Err(Fault::invalid(name, "it is compressed by Draco and has no plain vertices beside it"));
     }
     let count = original.elements(position)?.count;
@@ -126,7 +126,7 @@ fn copy(draft: &mut Draft, original: &Original, old: &Object, name: &str, source
 
 fn copy_all(draft: &mut Draft, original: &Original, attributes: &mut Object, source: &[u32]) -> Checked<()> {
     for (semantic, reference) in attributes.iter_mut() {
-        let index = reference.as_u64().and_then(|n| usize::try_from(n).ok());
+        let index = super::json::index(reference);
         let index = index.ok_or_else(|| Fault::invalid(semantic.as_str(), "it is not the index of an accessor"))?;
         *reference = copy_accessor(draft, original, index, source, semantic == "POSITION")?.into();
     }
