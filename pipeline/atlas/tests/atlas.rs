@@ -306,6 +306,31 @@ fn a_floor_of_texels_decides_between_one_page_and_two() {
 }
 
 #[test]
+fn charts_that_fit_nowhere_are_told_apart() {
+    let fault = |scene: &Scene, size: u32, max_pages: u32| {
+        let settings = AtlasSettings { size, max_pages, ..AtlasSettings::default() };
+        build(scene, &settings, &InProcess, &Silent).map(|_| ()).unwrap_err()
+    };
+    // A page of 16 × 16 has room for three charts abreast, the pages together for fewer than there are.
+    assert_eq!(fault(&quads(30), 16, 3), AtlasError::TooManyPages { limit: 3 });
+    let mut triangles = Mesh { name: "triangles".into(), ..Mesh::default() };
+    for i in 0..10 {
+        let at = Vec3::X * 3.0 * i as f32;
+        triangles.positions.extend([at, at + Vec3::X, at + Vec3::Y]);
+        triangles.triangles.push([3 * i, 3 * i + 1, 3 * i + 2]);
+    }
+    let named = AtlasError::TooManyCharts { instance: "triangles".into(), charts: 10, size: 16 };
+    let mut b = Builder::new("one");
+    b.add(triangles.clone());
+    assert_eq!(fault(&b.build(), 16, 64), named);
+    let mut b = Builder::new("one of several");
+    let m = b.matte(Vec3::ONE);
+    b.quad("quad", Vec3::ZERO, Vec3::X, Vec3::Y, m);
+    b.add(triangles);
+    assert_eq!(fault(&b.build(), 16, 64), named);
+}
+
+#[test]
 fn an_unreachable_density_is_lowered_to_what_fills_a_page() {
     let wanted = |size: u32, density: f32| {
         let settings = AtlasSettings { size, texel_density: Some(density), ..AtlasSettings::default() };
