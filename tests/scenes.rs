@@ -145,12 +145,16 @@ fn encodings_of_sponza_give_the_same_light() {
     let Some(root) = scenes() else { return };
     let flags = ["--preset", "draft", "--size", "256", "--sky", "1,1,1"];
     let plain = bake(&root.join("sponza/sponza_dabrovic.glb"), &flags).1;
+    // Thousands of charts: texels enough that there is something to compare.
+    let texels = plain.report["counters"]["texels"].as_u64().unwrap();
+    let used = plain.report["quality"]["atlas_utilisation"].as_f64().unwrap();
+    assert!(texels > 25_000 && used > 0.1, "{texels} texels cover {used} of the pages");
     for encoding in ["quantized", "meshopt"] {
         let other = bake(&root.join(format!("sponza_encodings/sponza_{encoding}.glb")), &flags).1;
         assert!(other.scene.triangle_count() > 66_000, "{encoding}");
         let d = difference(&plain, &other, 1.0, 20_000);
         println!("{encoding}: {d:?}");
-        assert!(d.bias.abs() < 0.01 && d.rmse < 0.04 && d.median < 0.02, "{encoding}: {d:?}");
+        assert!(d.bias.abs() < 0.005 && d.rmse < 0.03 && d.median < 0.015, "{encoding}: {d:?}");
     }
 }
 

@@ -161,6 +161,12 @@ fn some<'a>(names: impl ExactSizeIterator<Item = &'a str>) -> String {
     if rest > 0 { format!("{list} and {rest} more") } else { list }
 }
 
+/// A positive number with four significant digits.
+fn figures(x: f64) -> String {
+    let decimals = 3.0 - libm::log10(x).floor();
+    if (-2.0..=6.0).contains(&decimals) { format!("{x:.*}", decimals.max(0.0) as usize) } else { format!("{x:.3e}") }
+}
+
 fn atlas_warnings(report: &mut Report, scene: &Scene, lit: &Lit) {
     let atlas = &lit.atlas_report;
     for (mesh, reason) in &atlas.unwrapped_anew {
@@ -172,10 +178,15 @@ fn atlas_warnings(report: &mut Report, scene: &Scene, lit: &Lit) {
     if let Some(least) = atlas.lowered.iter().map(|(_, density)| *density).min_by(f64::total_cmp) {
         let names = some(atlas.lowered.iter().map(|(name, _)| name.as_str()));
         let scaled = scene.instances.iter().any(|i| i.texel_scale != 1.0);
+        let remedy = atlas.enough.map_or_else(
+            || "ask for less with --texel-density, or split the object into smaller ones".into(),
+            |side| format!("--size {side} keeps it"),
+        );
         let message = format!(
-            "{names}: wanted {:.3} texels a unit{}, lowered to {least:.3} at least to fit on a page; a larger --size keeps it",
-            atlas.density,
+            "{names}: wanted {} texels a unit{}, lowered to {} at least to fit on a page; {remedy}",
+            figures(atlas.wanted),
             if scaled { " times luxel_scale" } else { "" },
+            figures(least),
         );
         warn(report, "density-lowered", message);
     }
@@ -211,14 +222,31 @@ mod tests {
     #[test]
     fn lowered_objects_are_told_in_one_line_with_the_remedy() {
         let mut lit = Lit::default();
-        lit.atlas_report.density = 64.0;
+        lit.atlas_report.wanted = 64.0;
+        lit.atlas_report.enough = Some(512);
         lit.atlas_report.lowered = (0..9).map(|i| (format!("wall {i}"), 20.0 - f64::from(i))).collect();
         let mut report = Report::default();
         atlas_warnings(&mut report, &Scene::default(), &lit);
         let [warning] = &report.warnings[..] else { panic!("{:?}", report.warnings) };
-        let expected = "wall 0, wall 1, wall 2 and 6 more: wanted 64.000 texels a unit, lowered to 12.000";
+        let expected = "wall 0, wall 1, wall 2 and 6 more: wanted 64.00 texels a unit, lowered to 12.00 at least";
         assert!(warning.message.starts_with(expected), "{}", warning.message);
-        assert!(warning.message.ends_with("a larger --size keeps it"));
+        assert!(warning.message.ends_with("; --size 512 keeps it"), "{}", warning.message);
+
+        lit.atlas_report.wanted = 1e30;
+        lit.atlas_report.enough = None;
+        lit.atlas_report.lowered = vec![("hall".into(), 0.012_344)];
+        let mut report = Report::default();
+        atlas_warnings(&mut report, &Scene::default(), &lit);
+        let expected = "hall: wanted 1.000e30 texels a unit, lowered to 0.01234 at least to fit on a page; \
+                        ask for less with --texel-density, or split the object into smaller ones";
+        assert_eq!(report.warnings[0].message, expected);
+    }
+
+    #[test]
+    fn figures_are_four_digits() {
+        for (x, text) in [(10.0, "10.00"), (0.002_560_4, "0.002560"), (123_456.0, "123456"), (2e-7, "2.000e-7")] {
+            assert_eq!(figures(x), text);
+        }
     }
 
     #[test]

@@ -60,7 +60,8 @@ pub fn assemble(
         ..Atlas::default()
     };
     rasterise(&blocks, &placement.places, &seeds, progress, &mut atlas)?;
-    let report = report(scene, layout, unwraps, settings, &atlas, &placement);
+    let mut report = report(scene, layout, unwraps, settings, &atlas, &placement);
+    report.enough = place::enough(&blocks, &placement, settings);
     Ok((atlas, report))
 }
 
@@ -259,7 +260,8 @@ fn report(
     });
     AtlasReport {
         pages: placement.pages,
-        density: placement.density,
+        density: placement.reached(),
+        wanted: placement.density,
         charts: atlas.charts.len() as u32,
         texels: atlas.texels.len() as u32,
         utilisation: atlas.texels.iter().map(|t| f64::from(t.coverage())).sum::<f64>() / page_texels,
@@ -270,5 +272,6 @@ fn report(
         unwrapped_anew: layout.refused.clone(),
         fallbacks: fallbacks.collect(),
         lowered: lowered.collect(),
+        enough: None,
     }
 }

@@ -4,7 +4,7 @@
 //! |---|---|---|
 //! | choose | [`layout`], [`authored`] | scene → per instance: its TEXCOORD_1, or the unwrap of its mesh |
 //! | unwrap | [`unwrap`] with `segment`, `planar`, `shape`; [`worker`], `xatlas` | mesh → [`charts::Charts`] in object units, shared by instances |
-//! | pack | `blocks`, `place`, `pack` | charts of all instances → rectangles on pages |
+//! | pack | `blocks`, `place` with `shelves`, `pack` | charts of all instances → rectangles on pages |
 //! | rasterise | `texels` | placed charts → [`Texel`]s with coverage |
 //! | finish | [`mod@finish`] with `canvas`, `seams` | values per texel → dilated, stitched images |
 //!
@@ -30,6 +30,7 @@ mod seams;
 mod segment;
 mod settings;
 mod shape;
+mod shelves;
 mod texels;
 pub mod unwrap;
 pub mod worker;

@@ -74,8 +74,11 @@ pub enum AtlasError {
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct AtlasReport {
     pub pages: u32,
-    /// Texels per scene unit.
+    /// Texels per scene unit: what every chart has that is not lowered; where some are, the mean over the area
+    /// (root of texels over area).
     pub density: f64,
+    /// Texels per scene unit that charts have unless they are lowered: what was asked for, or what fills the pages.
+    pub wanted: f64,
     pub charts: u32,
     pub texels: u32,
     /// Covered area over page area.
@@ -94,4 +97,7 @@ pub struct AtlasReport {
     pub fallbacks: Vec<(String, String, u32)>,
     /// Instances with charts whose density was lowered so that they fit on a page: name and texels per scene unit.
     pub lowered: Vec<(String, f64)>,
+    /// Side of a page at which none would be lowered (texels); None where no allowed one is known, or where no density
+    /// was asked for and the charts grow with the page.
+    pub enough: Option<u32>,
 }

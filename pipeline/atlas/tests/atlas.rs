@@ -240,16 +240,123 @@ fn a_wanted_density_adds_pages_and_keeps_instances_together() {
     assert!(build(&scene, &few, &InProcess, &Silent).is_err());
 }
 
-#[test]
-fn many_small_charts_open_further_pages() {
+/// Loose quads with sides from one to two units, in no order of size.
+fn quads(n: u32) -> Scene {
     let mut b = Builder::new("many");
     let m = b.matte(Vec3::ONE);
-    for i in 0..300 {
-        b.quad("quad", Vec3::X * i as f32, Vec3::X, Vec3::Y, m);
+    for i in 0..n {
+        let side = |prime: u32| 1.0 + (i * prime % n) as f32 / n as f32;
+        b.quad("quad", Vec3::X * 3.0 * i as f32, Vec3::X * side(7), Vec3::Y * side(11), m);
     }
-    let (atlas, _) = baked(&b.build(), 64);
+    b.build()
+}
+
+#[test]
+fn many_small_charts_open_further_pages() {
+    let (atlas, report) = baked(&quads(300), 64);
     // A page of 64 × 64 holds 12 × 12 charts of one texel with their padding.
     assert_eq!(atlas.pages.len(), 3);
+    // One page of as many texels, for comparison.
+    let (_, one) = baked(&quads(300), 111);
+    assert_eq!(one.pages, 1);
+    assert!(report.density > 0.9 * one.density && report.utilisation > 0.8 * one.utilisation, "{report:?} {one:?}");
+    assert!(report.lowered.is_empty() && report.density == report.wanted, "{report:?}");
+}
+
+#[test]
+fn more_texels_are_more_density_whatever_the_number_of_pages() {
+    let scene = quads(300);
+    let area: f64 = scene
+        .meshes
+        .iter()
+        .map(|m| {
+            f64::from((m.positions[1] - m.positions[0]).length())
+                * f64::from((m.positions[3] - m.positions[0]).length())
+        })
+        .sum();
+    let mut known: Vec<(u32, u32, f64)> = Vec::new();
+    for size in (48..=168).step_by(8) {
+        let settings = AtlasSettings { size, ..AtlasSettings::default() };
+        let (_, report) = build(&scene, &settings, &InProcess, &Silent).unwrap();
+        let texels = report.pages * size * size;
+        let bare = (f64::from(texels) / area).sqrt();
+        assert!(report.density >= 0.25 * bare && report.density <= bare, "{size}: {report:?}");
+        known.push((texels, size, report.density));
+    }
+    assert!(known[0].0 > 3 * 48 * 48 && known.last().unwrap().0 == 168 * 168, "several pages and one: {known:?}");
+    for &(more, size, density) in &known {
+        // Along an edge of the page up to one chart's breadth stays empty.
+        let breadth = 1.5 * density + 4.0;
+        for &(fewer, other, lower) in known.iter().filter(|k| k.0 <= more) {
+            let least = lower * (1.0 - breadth / f64::from(size));
+            assert!(density >= least, "{more} texels, side {size}: {density}; {fewer}, side {other}: {lower}");
+        }
+    }
+}
+
+#[test]
+fn a_floor_of_texels_decides_between_one_page_and_two() {
+    // Eighteen charts with their padding fit at one texel each from 25 × 25 on.
+    for (size, pages) in [(64, 1), (28, 1), (24, 2)] {
+        let (atlas, report) = baked(&cornell(), size);
+        assert_eq!(report.pages, pages, "{size}");
+        let texels = f64::from(report.pages * size * size);
+        assert!(atlas.texels.len() as f64 > 0.08 * texels, "{size}: {} of {texels}", atlas.texels.len());
+    }
+}
+
+#[test]
+fn charts_that_fit_nowhere_are_told_apart() {
+    let fault = |scene: &Scene, size: u32, max_pages: u32| {
+        let settings = AtlasSettings { size, max_pages, ..AtlasSettings::default() };
+        build(scene, &settings, &InProcess, &Silent).map(|_| ()).unwrap_err()
+    };
+    // A page of 16 × 16 has room for three charts abreast, the pages together for fewer than there are.
+    assert_eq!(fault(&quads(30), 16, 3), AtlasError::TooManyPages { limit: 3 });
+    let mut triangles = Mesh { name: "triangles".into(), ..Mesh::default() };
+    for i in 0..10 {
+        let at = Vec3::X * 3.0 * i as f32;
+        triangles.positions.extend([at, at + Vec3::X, at + Vec3::Y]);
+        triangles.triangles.push([3 * i, 3 * i + 1, 3 * i + 2]);
+    }
+    let named = AtlasError::TooManyCharts { instance: "triangles".into(), charts: 10, size: 16 };
+    let mut b = Builder::new("one");
+    b.add(triangles.clone());
+    assert_eq!(fault(&b.build(), 16, 64), named);
+    let mut b = Builder::new("one of several");
+    let m = b.matte(Vec3::ONE);
+    b.quad("quad", Vec3::ZERO, Vec3::X, Vec3::Y, m);
+    b.add(triangles);
+    assert_eq!(fault(&b.build(), 16, 64), named);
+}
+
+#[test]
+fn an_unreachable_density_is_lowered_to_what_fills_a_page() {
+    let wanted = |size: u32, density: f32| {
+        let settings = AtlasSettings { size, texel_density: Some(density), ..AtlasSettings::default() };
+        build(&cornell(), &settings, &InProcess, &Silent).unwrap().1
+    };
+    let most = wanted(128, 1e30);
+    // An object on each page.
+    assert_eq!((most.pages, most.lowered.len()), (3, 3));
+    // The room is six equal squares: three abreast are 38 texels wide each, and a third of the page stays free.
+    assert!(most.utilisation > 0.5, "{most:?}");
+    assert_eq!((most.wanted, most.enough), (f64::from(1e30_f32), None));
+    let densities = || most.lowered.iter().map(|(_, density)| *density);
+    let (least, greatest) = (densities().fold(f64::INFINITY, f64::min), densities().fold(0.0, f64::max));
+    assert!(least > 38.0 && least < most.density && most.density < greatest, "{most:?}");
+    let less = wanted(128, 1e5);
+    assert_eq!((less.lowered.clone(), less.enough), (most.lowered.clone(), None));
+
+    // The remedy that is told is one.
+    for density in [60.0, 100.0, 333.0, 1000.0] {
+        let report = wanted(64, density);
+        let enough = report.enough.expect("a page that holds the charts");
+        assert!(!report.lowered.is_empty() && report.density < density.into(), "{report:?}");
+        let larger = wanted(enough, density);
+        assert!(larger.lowered.is_empty(), "{density}: {larger:?}");
+        assert_eq!(larger.density, f64::from(density));
+    }
 }
 
 #[test]

@@ -1,29 +1,15 @@
 //! Damaged and hostile files: whatever the bytes, the importer returns, soon and without a panic.
 
+#[path = "support/glb.rs"]
+mod support;
+
 use std::path::PathBuf;
 
 use luxel_scene::import::{FaultKind, ImportError, load};
 use luxel_scene::{ImportOptions, Limits, Scene};
 use proptest::prelude::*;
 use serde_json::{Value, json};
-
-/// A .glb of a JSON document and its binary chunk.
-fn glb(json: &Value, bin: &[u8]) -> Vec<u8> {
-    let mut text = json.to_string().into_bytes();
-    text.resize(text.len().next_multiple_of(4), b' ');
-    let mut bin = bin.to_vec();
-    bin.resize(bin.len().next_multiple_of(4), 0);
-    let mut out = b"glTF".to_vec();
-    let chunks: [(&[u8; 4], &[u8]); 2] = [(b"JSON", &text), (b"BIN\0", &bin)];
-    out.extend(2u32.to_le_bytes());
-    out.extend((28 + text.len() as u32 + bin.len() as u32).to_le_bytes());
-    for (kind, chunk) in chunks {
-        out.extend((chunk.len() as u32).to_le_bytes());
-        out.extend(kind);
-        out.extend(chunk);
-    }
-    out
-}
+use support::glb;
 
 /// Builds the binary chunk piece by piece.
 #[derive(Default)]
@@ -154,7 +140,7 @@ fn import(bytes: &[u8]) -> Result<Scene, ImportError> {
 }
 
 fn import_json(document: &Value, bin: &[u8]) -> Result<Scene, ImportError> {
-    import(&glb(document, bin))
+    import(&glb(&document.to_string(), bin))
 }
 
 #[test]
@@ -260,7 +246,7 @@ fn material_extensions_and_defaults() {
         {"name": "Chrome", "pbrMetallicRoughness": {"roughnessFactor": 0.5, "metallicRoughnessTexture": {"index": 0}}}]);
     document["meshes"][1]["primitives"][0].as_object_mut().unwrap().remove("material");
     let path = std::env::temp_dir().join(format!("luxel-materials-{}.glb", std::process::id()));
-    std::fs::write(&path, glb(&document, &bin)).unwrap();
+    std::fs::write(&path, glb(&document.to_string(), &bin)).unwrap();
     let scene = load(&path, &ImportOptions { metal_diffuse: 0.25, ..ImportOptions::default() }).unwrap();
     std::fs::remove_file(&path).unwrap();
     let [old, chrome, none] = &scene.materials[..] else { panic!("{:?}", scene.materials) };
@@ -292,7 +278,7 @@ fn what_moves_is_left_out_unless_asked_for() {
     let (mut document, bin) = everything();
     document["animations"] =
         json!([{"channels": [{"sampler": 0, "target": {"node": 0, "path": "scale"}}], "samplers": []}]);
-    let file = glb(&document, &bin);
+    let file = glb(&document.to_string(), &bin);
     assert_eq!(import(&file).unwrap().triangle_count(), 8);
     let path = std::env::temp_dir().join(format!("luxel-moving-{}.glb", std::process::id()));
     std::fs::write(&path, &file).unwrap();
@@ -404,7 +390,7 @@ proptest! {
     #[test]
     fn damaged_bytes_never_panic(damages in prop::collection::vec(damage(), 1..4)) {
         let (document, bin) = everything();
-        let mut file = glb(&document, &bin);
+        let mut file = glb(&document.to_string(), &bin);
         damages.iter().for_each(|d| apply(&mut file, d));
         if let Ok(scene) = import(&file) {
             assert_sound(&scene);

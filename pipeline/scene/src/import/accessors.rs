@@ -64,7 +64,7 @@ impl Buffers {
     }
 
     /// The elements as the file stores them, every one of them checked to lie within its view. Takes memory for the
-    /// sparse indices only, which are no more than their view has bytes.
+    /// sparse indices only: 16 bytes for each, at every call, from the budget of decoded geometry.
     pub fn elements(&self, index: usize) -> Checked<Elements<'_>> {
         let accessor = self.accessor(index)?;
         let place = self.accessor_place(index);
@@ -115,6 +115,10 @@ impl Buffers {
         let Valid::Valid(index_type) = sparse.indices.component_type else {
             return Err(Fault::invalid(place, "its sparse indices have an unknown type"));
         };
+        if sparse.count.0 > layout.count {
+            let what = format!("its {} sparse values are more than its {} elements", sparse.count.0, layout.count);
+            return Err(Fault::invalid(place, what));
+        }
         let index_size = index_type.0.size();
         let indices = Layout {
             component: index_type.0,
@@ -131,6 +135,7 @@ impl Buffers {
         let (Some(indices), Some(values)) = (indices, values) else {
             return Err(Fault::invalid(place, "its sparse indices or values do not fit into their bufferViews"));
         };
+        self.spend(sparse.count.0.checked_mul(size_of::<(u64, usize)>() as u64), place)?;
         let order = indices.chunks_exact(index_size).enumerate().map(|(k, bytes)| (u64::from(unsigned(bytes)), k));
         // They should come in rising order; where they do not, each still finds its value.
         let mut order: Vec<(u64, usize)> = order.collect();
@@ -347,13 +352,16 @@ mod tests {
             {"bufferView": 0, "componentType": 5126, "count": 3, "type": "SCALAR", "sparse": sparse(2)},
             {"componentType": 5126, "count": 2, "type": "SCALAR", "sparse": sparse(2)},
             {"componentType": 5126, "count": 3, "type": "SCALAR", "sparse": sparse(3)},
-            {"componentType": 5126, "count": 2, "type": "VEC3"}]);
+            {"componentType": 5126, "count": 2, "type": "VEC3"},
+            {"componentType": 5126, "count": 1, "type": "SCALAR", "sparse": sparse(2)}]);
         with(views, accessors, &bin, |b| {
             assert_eq!(b.vectors::<1>(0).unwrap().concat(), [10.0, 0.0, 20.0]);
             assert_eq!(b.vectors::<1>(1).unwrap().concat(), [10.0, 2.0, 20.0]);
             assert!(b.vectors::<1>(2).unwrap_err().what.contains("sparse index 2"), "out of range");
             assert!(b.vectors::<1>(3).is_err(), "more values than the view holds");
             assert_eq!(b.vectors::<3>(4).unwrap(), [[0.0; 3]; 2], "no view means zeros");
+            let more = b.vectors::<1>(5).unwrap_err().what;
+            assert!(more.contains("2 sparse values are more than its 1 elements"), "{more}");
         });
     }
 
@@ -387,6 +395,21 @@ mod tests {
         let accessors = json!([{"componentType": 5126, "count": 4_000_000_000u64, "type": "VEC4"}]);
         with(json!([]), accessors, &[], |b| {
             let fault = b.vectors::<4>(0).unwrap_err();
+            assert_eq!(fault.kind, crate::import::FaultKind::Limit, "{fault}");
+        });
+    }
+
+    #[test]
+    fn sparse_indices_are_paid_for() {
+        // A byte in the file, 16 in memory; a million of them fit four times into the 64 MiB of a file without buffers.
+        let count = 1_000_000;
+        let views = json!([{"buffer": 0, "byteLength": count}]);
+        let sparse = json!({"count": count, "values": {"bufferView": 0},
+                            "indices": {"bufferView": 0, "componentType": 5121}});
+        let accessors = json!([{"componentType": 5121, "count": count, "type": "SCALAR", "sparse": sparse}]);
+        with(views, accessors, &vec![0; count], |b| {
+            (0..4).for_each(|_| assert_eq!(b.elements(0).unwrap().count, count));
+            let fault = b.elements(0).map(|_| ()).unwrap_err();
             assert_eq!(fault.kind, crate::import::FaultKind::Limit, "{fault}");
         });
     }

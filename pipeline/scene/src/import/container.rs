@@ -110,28 +110,13 @@ fn trimmed(bytes: &[u8]) -> &[u8] {
     &bytes[start..end.max(start)]
 }
 
-/// A GLB file of the given parts, for tests.
 #[cfg(test)]
-pub fn glb(json: &str, bin: &[u8]) -> Vec<u8> {
-    let padded = |bytes: &[u8], fill: u8| {
-        let mut bytes = bytes.to_vec();
-        bytes.resize(bytes.len().next_multiple_of(4), fill);
-        bytes
-    };
-    let (json, bin) = (padded(json.as_bytes(), b' '), padded(bin, 0));
-    let mut out = MAGIC.to_vec();
-    out.extend(2u32.to_le_bytes());
-    out.extend((28 + json.len() as u32 + bin.len() as u32).to_le_bytes());
-    for (kind, chunk) in [(CHUNK_JSON, &json), (CHUNK_BIN, &bin)] {
-        out.extend((chunk.len() as u32).to_le_bytes());
-        out.extend(kind.to_le_bytes());
-        out.extend(chunk);
-    }
-    out
-}
+#[path = "../../tests/support/glb.rs"]
+pub mod writer;
 
 #[cfg(test)]
 mod tests {
+    use super::writer::glb;
     use super::*;
 
     #[test]

@@ -10,7 +10,7 @@ use serde::Deserialize;
 use serde::de::DeserializeOwned;
 use serde_json::Value;
 
-use super::error::{Checked, Fault, place, quoted};
+use super::error::{Bound, Checked, Fault, place, quoted};
 use super::options::Limits;
 use super::transform::Local;
 
@@ -60,7 +60,7 @@ impl Document {
     pub fn parse(json: &[u8], limits: &Limits) -> Checked<Self> {
         let length = json.len() as u64;
         if length > limits.json_bytes {
-            return Err(Fault::limit("JSON", format!("it has {length} bytes"), "json_bytes", limits.json_bytes));
+            return Err(Fault::limit("JSON", format!("it has {length} bytes"), Bound::JsonBytes, limits.json_bytes));
         }
         check_depth(json, limits.json_depth.min(120))?;
         let mut value: Value =
@@ -69,7 +69,7 @@ impl Document {
         check_extensions(&value)?;
         let nodes = array(&value, "nodes");
         if nodes.len() as u64 > limits.nodes {
-            return Err(Fault::limit("JSON", format!("it has {} nodes", nodes.len()), "nodes", limits.nodes));
+            return Err(Fault::limit("JSON", format!("it has {} nodes", nodes.len()), Bound::Nodes, limits.nodes));
         }
         let locals = nodes.iter().enumerate().map(|(i, node)| Local::read(node, &node_place(node, i)));
         let locals = locals.collect::<Checked<Vec<_>>>()?;
@@ -132,7 +132,7 @@ fn check_depth(json: &[u8], limit: u32) -> Checked<()> {
             b'[' | b'{' => {
                 depth += 1;
                 if depth > limit {
-                    return Err(Fault::limit("JSON", "it is nested more deeply", "json_depth", u64::from(limit)));
+                    return Err(Fault::limit("JSON", "it is nested more deeply", Bound::JsonDepth, u64::from(limit)));
                 }
             }
             b']' | b'}' => depth = depth.saturating_sub(1),

@@ -19,6 +19,58 @@ pub enum FaultKind {
     Limit,
 }
 
+/// A bound on untrusted input: a field of [`Limits`](super::Limits).
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Bound {
+    FileBytes,
+    InputBytes,
+    JsonBytes,
+    JsonDepth,
+    Nodes,
+    Instances,
+    Triangles,
+    GeometryBytes,
+    Expansion,
+    ImagePixels,
+    TextureBytes,
+}
+
+impl Bound {
+    /// The field's name.
+    fn name(self) -> &'static str {
+        match self {
+            Self::FileBytes => "file_bytes",
+            Self::InputBytes => "input_bytes",
+            Self::JsonBytes => "json_bytes",
+            Self::JsonDepth => "json_depth",
+            Self::Nodes => "nodes",
+            Self::Instances => "instances",
+            Self::Triangles => "triangles",
+            Self::GeometryBytes => "geometry_bytes",
+            Self::Expansion => "expansion",
+            Self::ImagePixels => "image_pixels",
+            Self::TextureBytes => "texture_bytes",
+        }
+    }
+
+    /// What whoever made the file can do.
+    fn remedy(self) -> &'static str {
+        match self {
+            Self::FileBytes | Self::InputBytes => "split the scene into several, or make its meshes and images smaller",
+            Self::JsonBytes => "split the scene into several",
+            Self::JsonDepth => "leave out the extras or extensions that are nested so deeply",
+            Self::Nodes | Self::Instances => "merge objects before the export, or split the scene into several",
+            Self::Triangles | Self::GeometryBytes => "simplify the meshes, or split the scene into several",
+            Self::Expansion => {
+                "export the geometry plainly: the file claims far more of it than it stores, by sparse, compressed or \
+                 shared accessors"
+            }
+            Self::ImagePixels => "make the image smaller",
+            Self::TextureBytes => "make the images smaller, or let materials share them",
+        }
+    }
+}
+
 /// A scene or sky that was not read, and why.
 #[derive(Clone, Debug, thiserror::Error)]
 #[error("{}: {fault}", file.display())]
@@ -58,10 +110,10 @@ impl Fault {
         Self::new(FaultKind::Unsupported, place, what, hint)
     }
 
-    /// More of something than the named limit allows.
-    pub fn limit(place: impl Into<String>, what: impl fmt::Display, name: &str, limit: u64) -> Self {
-        let hint = format!("make the scene smaller, or raise the limit `{name}`");
-        Self::new(FaultKind::Limit, place, format!("{what}, more than the limit `{name}` of {limit}"), hint)
+    /// More of something than a bound allows.
+    pub fn limit(place: impl Into<String>, what: impl fmt::Display, bound: Bound, limit: u64) -> Self {
+        let what = format!("{what}, more than the limit `{}` of {limit}", bound.name());
+        Self::new(FaultKind::Limit, place, what, bound.remedy())
     }
 
     /// Attaches the file.
@@ -110,6 +162,17 @@ mod tests {
             text,
             "level.glb: mesh 3 \"Wall\": it has no triangles; export the scene again, or look at it with a glTF validator"
         );
+    }
+
+    #[test]
+    fn a_limit_tells_what_can_be_done_about_the_file() {
+        let text = Fault::limit("image 3", "it has 9 × 9 pixels", Bound::ImagePixels, 80).to_string();
+        assert_eq!(
+            text,
+            "image 3: it has 9 × 9 pixels, more than the limit `image_pixels` of 80; make the image smaller"
+        );
+        let deep = Fault::limit("JSON", "it is nested more deeply", Bound::JsonDepth, 96);
+        assert!(deep.hint.contains("leave out") && !deep.hint.contains("limit"), "{deep}");
     }
 
     #[test]

@@ -12,7 +12,7 @@ use base64::Engine;
 use base64::alphabet;
 use base64::engine::{DecodePaddingMode, GeneralPurpose, GeneralPurposeConfig};
 
-use super::error::{Checked, Fault, FaultKind, quoted};
+use super::error::{Bound, Checked, Fault, FaultKind, quoted};
 use super::options::Limits;
 use crate::InputFile;
 
@@ -54,13 +54,16 @@ impl Files {
         self.inputs
     }
 
-    /// Reads a whole regular file within the size limit and records its digest. `place` is what asked for it.
+    /// Reads a whole regular file within the size limits and records its digest. `place` is what asked for it, empty
+    /// when the file is the scene or the sky itself.
     pub fn read(&mut self, path: &Path, place: &str) -> Checked<Vec<u8>> {
-        let limit = self.limits.file_bytes;
-        let bytes = self.read_front(path, place, limit.saturating_add(1))?;
+        let limit = self.limits.file_bytes.min(self.limits.input_bytes.saturating_sub(self.bytes));
+        let size = regular(path, place)?;
+        let bytes = if size > limit { Vec::new() } else { front(path, place, limit.saturating_add(1))? };
         // The file may have grown since its size was asked for.
-        if bytes.len() as u64 > limit {
-            return Err(self.too_large(path, place, bytes.len() as u64));
+        let size = size.max(bytes.len() as u64);
+        if size > limit {
+            return Err(self.too_large(path, place, size));
         }
         self.bytes = self.bytes.saturating_add(bytes.len() as u64);
         if self.seen.insert(path.to_path_buf()) {
@@ -71,28 +74,26 @@ impl Files {
 
     /// The first `most` bytes of a regular file within the size limit, or all of it. Records nothing.
     pub fn read_front(&self, path: &Path, place: &str, most: u64) -> Checked<Vec<u8>> {
-        let unreadable = |what: String| {
-            let hint = "check that the file is there and may be read";
-            Fault::new(FaultKind::Unreadable, place, what, hint)
-        };
-        let name = path.display();
-        let meta = std::fs::metadata(path).map_err(|e| unreadable(format!("cannot read {name} ({e})")))?;
-        // A pipe or a device could block for ever.
-        if !meta.is_file() {
-            return Err(unreadable(format!("{name} is not a regular file")));
+        let size = regular(path, place)?;
+        if size > self.limits.file_bytes {
+            return Err(self.too_large(path, place, size));
         }
-        if meta.len() > self.limits.file_bytes {
-            return Err(self.too_large(path, place, meta.len()));
-        }
-        let mut bytes = Vec::new();
-        File::open(path)
-            .and_then(|file| file.take(most).read_to_end(&mut bytes))
-            .map_err(|e| unreadable(format!("cannot read {name} ({e})")))?;
-        Ok(bytes)
+        front(path, place, most)
     }
 
+    /// Too large for itself, or with all that was read before.
     fn too_large(&self, path: &Path, place: &str, bytes: u64) -> Fault {
-        Fault::limit(place, format!("{} has {bytes} bytes", path.display()), "file_bytes", self.limits.file_bytes)
+        let (name, limits) = (subject(path, place), &self.limits);
+        if bytes > limits.file_bytes {
+            return Fault::limit(place, format!("{name} has {bytes} bytes"), Bound::FileBytes, limits.file_bytes);
+        }
+        let what = format!("with {name} the files of the scene have {} bytes", self.bytes.saturating_add(bytes));
+        Fault::limit(place, what, Bound::InputBytes, limits.input_bytes)
+    }
+
+    /// Where the file of a URI is; None for a data URI.
+    pub fn path_of(&self, uri: &str, place: &str) -> Checked<Option<PathBuf>> {
+        if strip_scheme(uri, "data").is_some() { Ok(None) } else { self.locate(uri, place).map(Some) }
     }
 
     /// The bytes behind a URI of the glTF document.
@@ -145,6 +146,32 @@ impl Files {
         }
         Ok(self.folder.join(relative))
     }
+}
+
+/// How a message calls a file: the scene and the sky, which nothing in a file asked for, are named by the whole message.
+fn subject(path: &Path, place: &str) -> String {
+    if place.is_empty() { "it".into() } else { path.display().to_string() }
+}
+
+fn unreadable(place: &str, what: String) -> Fault {
+    Fault::new(FaultKind::Unreadable, place, what, "check that the file is there and may be read")
+}
+
+/// The size of a regular file.
+fn regular(path: &Path, place: &str) -> Checked<u64> {
+    let name = subject(path, place);
+    let meta = std::fs::metadata(path).map_err(|e| unreadable(place, format!("{name} cannot be read ({e})")))?;
+    // A pipe or a device could block for ever.
+    if meta.is_file() { Ok(meta.len()) } else { Err(unreadable(place, format!("{name} is not a regular file"))) }
+}
+
+/// The first `most` bytes of a file, or all of it.
+fn front(path: &Path, place: &str, most: u64) -> Checked<Vec<u8>> {
+    let mut bytes = Vec::new();
+    File::open(path)
+        .and_then(|file| file.take(most).read_to_end(&mut bytes))
+        .map_err(|e| unreadable(place, format!("{} cannot be read ({e})", subject(path, place))))?;
+    Ok(bytes)
 }
 
 /// The media type of a data URI, if it is one and states it.
@@ -247,9 +274,18 @@ mod tests {
     fn a_missing_file_and_a_folder_are_named() {
         let mut files = files();
         let missing = files.fetch("nowhere.bin", "buffer 2").unwrap_err().to_string();
-        assert!(missing.contains("buffer 2") && missing.contains("nowhere.bin"), "{missing}");
+        assert!(missing.starts_with("buffer 2: scenes/hall/nowhere.bin cannot be read ("), "{missing}");
         let folder = files.read(Path::new(env!("CARGO_MANIFEST_DIR")), "sky").unwrap_err().to_string();
         assert!(folder.contains("not a regular file"), "{folder}");
+    }
+
+    #[test]
+    fn the_scene_itself_is_named_once() {
+        let path = Path::new("nowhere/level.glb");
+        let told = |fault: Fault| fault.in_file(path).to_string();
+        let missing = told(Files::beside(path, &Limits::default()).read(path, "").unwrap_err());
+        assert!(missing.starts_with("nowhere/level.glb: it cannot be read ("), "{missing}");
+        assert_eq!(missing.matches("level.glb").count(), 1, "{missing}");
     }
 
     #[test]

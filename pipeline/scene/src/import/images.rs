@@ -11,7 +11,7 @@ use image::{ImageFormat, ImageReader};
 use rayon::prelude::*;
 
 use super::buffers::Buffers;
-use super::error::{Checked, Fault, FaultKind, place};
+use super::error::{Bound, Checked, Fault, FaultKind, place};
 use super::files::Files;
 use super::options::Limits;
 use crate::{AlphaUse, Averages, Texture, TextureRef};
@@ -72,7 +72,7 @@ impl Images {
             total = total.saturating_add(pixels(bytes, place_of(image), limits)?.saturating_mul(4 + 6));
             if total > limits.texture_bytes {
                 let what = format!("with it the decoded images take {total} bytes");
-                return Err(Fault::limit(place_of(image), what, "texture_bytes", limits.texture_bytes));
+                return Err(Fault::limit(place_of(image), what, Bound::TextureBytes, limits.texture_bytes));
             }
         }
         let decoded: Vec<Checked<(usize, image::RgbaImage)>> =
@@ -159,7 +159,7 @@ fn pixels(bytes: &[u8], place: &str, limits: &Limits) -> Checked<u64> {
         return Err(Fault::limit(
             place,
             format!("it has {width} × {height} pixels"),
-            "image_pixels",
+            Bound::ImagePixels,
             limits.image_pixels,
         ));
     }

@@ -6,7 +6,7 @@ use gltf_json::validation::Checked as Valid;
 use serde_json::Value;
 
 use super::buffers::Buffers;
-use super::error::{Checked, Fault};
+use super::error::{Bound, Checked, Fault};
 use super::options::Limits;
 use super::transform::from_trs;
 
@@ -59,7 +59,7 @@ pub fn read(buffers: &Buffers, node: usize, limits: &Limits) -> Checked<Option<V
 
 fn bounded(count: u64, limits: &Limits, place: &str) -> Checked<usize> {
     if count > limits.instances {
-        return Err(Fault::limit(place, format!("there are {count}"), "instances", limits.instances));
+        return Err(Fault::limit(place, format!("there are {count}"), Bound::Instances, limits.instances));
     }
     Ok(count as usize)
 }

@@ -34,8 +34,9 @@ impl Opened {
     }
 }
 
-/// The extras of the default scene (the first one if there is no default), integral numbers as integers. Reads the
-/// JSON of the file only: neither a .glb's buffers nor any other file.
+/// The extras of the default scene (the first one if there is no default) over those of the document, key by key and
+/// within objects of the same key too; integral numbers as integers. Exporters write what belongs to a scene to either.
+/// Reads the JSON of the file only: neither a .glb's buffers nor any other file.
 ///
 /// # Errors
 /// Those of [`load`](super::load) that concern container and document.
@@ -48,21 +49,42 @@ fn extras(path: &Path, limits: &Limits) -> Checked<Option<Value>> {
     let root = Document::parse(&json, limits)?.root;
     let scene = root.scenes.get(root.scene.map_or(0, |s| s.value()));
     // The text of extras has been parsed once already, so it parses.
-    Ok(scene.and_then(|s| s.extras.as_ref()).and_then(|raw| serde_json::from_str(raw.get()).ok()))
+    let parsed = |raw: &gltf_json::Extras| raw.as_ref().and_then(|raw| serde_json::from_str(raw.get()).ok());
+    let (own, whole) = (scene.and_then(|s| parsed(&s.extras)), parsed(&root.extras));
+    Ok(match (own, whole) {
+        (Some(own), Some(whole)) => Some(over(own, whole, 2)),
+        (own, whole) => own.or(whole),
+    })
+}
+
+/// The keys of two objects together, the first one's values where both have one; objects among them alike, so many
+/// levels down. What is no object stands as it is.
+fn over(first: Value, second: Value, levels: u32) -> Value {
+    match (first, second) {
+        (Value::Object(first), Value::Object(mut second)) if levels > 0 => {
+            for (key, value) in first {
+                let below = second.remove(&key).unwrap_or_default();
+                let joined = if below.is_null() { value } else { over(value, below, levels - 1) };
+                second.insert(key, joined);
+            }
+            Value::Object(second)
+        }
+        (first, _) => first,
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::import::container::writer::glb;
 
     const SCENE: &str = r#"{"asset":{"version":"2.0"},"scene":1,"scenes":[{},{"extras":{"luxel":{"size":64.0}}}]}"#;
 
     fn read(bytes: &[u8], limits: &Limits) -> Result<Option<Value>, ImportError> {
-        let path = std::env::temp_dir().join(format!("luxel-extras-{}-{}", std::process::id(), bytes.len()));
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("scene");
         std::fs::write(&path, bytes).unwrap();
-        let extras = scene_extras(&path, limits);
-        std::fs::remove_file(&path).unwrap();
-        extras
+        scene_extras(&path, limits)
     }
 
     #[test]
@@ -72,15 +94,39 @@ mod tests {
         let marked = format!("\u{feff}{SCENE}\n");
         assert_eq!(read(SCENE.as_bytes(), &limits).unwrap(), expected);
         assert_eq!(read(marked.as_bytes(), &limits).unwrap(), expected);
-        assert_eq!(read(&container::glb(&format!("{SCENE}\0"), &[0; 8]), &limits).unwrap(), expected);
-        assert_eq!(read(&container::glb(&marked, &[0; 40]), &limits).unwrap(), expected);
+        assert_eq!(read(&glb(&format!("{SCENE}\0"), &[0; 8]), &limits).unwrap(), expected);
+        assert_eq!(read(&glb(&marked, &[0; 40]), &limits).unwrap(), expected);
         assert_eq!(read(br#"{"asset":{"version":"2.0"}}"#, &limits).unwrap(), None);
+    }
+
+    #[test]
+    fn the_extras_of_the_scene_hide_those_of_the_document() {
+        let of = |document: &str, scene: &str| {
+            let json =
+                format!(r#"{{"asset":{{"version":"2.0"}},"extras":{document},"scenes":[{{"extras":{scene}}}]}}"#);
+            read(json.as_bytes(), &Limits::default()).unwrap().unwrap()
+        };
+        let both = of(
+            r#"{"luxel":{"size":32,"sky":{"a":1},"seed":3},"by":"x"}"#,
+            r#"{"luxel":{"size":64,"sky":{"b":2}},"n":1}"#,
+        );
+        // Settings are joined; the value of a setting is taken whole.
+        assert_eq!(both, serde_json::json!({"luxel": {"size": 64, "sky": {"b": 2}, "seed": 3}, "by": "x", "n": 1}));
+        assert_eq!(of(r#"{"luxel":{"size":32.0}}"#, "{}"), serde_json::json!({"luxel": {"size": 32}}));
+        assert_eq!(
+            of(r#"{"luxel":{"size":32}}"#, r#"{"luxel":7}"#),
+            serde_json::json!({"luxel": 7}),
+            "a fault to tell"
+        );
+        assert_eq!(of("7", "{}"), serde_json::json!({}));
+        let alone = br#"{"asset":{"version":"2.0"},"extras":{"luxel":{"size":32}}}"#;
+        assert_eq!(read(alone, &Limits::default()).unwrap(), Some(serde_json::json!({"luxel": {"size": 32}})));
     }
 
     #[test]
     fn only_the_json_of_a_binary_file_is_read() {
         let limits = Limits::default();
-        let whole = container::glb(SCENE, &[0; 4096]);
+        let whole = glb(SCENE, &[0; 4096]);
         let behind_json = whole.len() - 4096 - 8;
         for n in 0..behind_json {
             assert!(read(&whole[..n], &limits).is_err(), "{n}");

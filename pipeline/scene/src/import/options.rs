@@ -38,6 +38,8 @@ impl Default for ImportOptions {
 pub struct Limits {
     /// Bytes of any one file.
     pub file_bytes: u64,
+    /// Bytes of all files of a scene together.
+    pub input_bytes: u64,
     /// Bytes of the JSON document.
     pub json_bytes: u64,
     /// Nesting of the JSON document; values above 120 count as 120.
@@ -65,6 +67,7 @@ impl Default for Limits {
     fn default() -> Self {
         Self {
             file_bytes: 8 << 30,
+            input_bytes: 16 << 30,
             json_bytes: 512 << 20,
             json_depth: 96,
             nodes: 4_000_000,

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use glam::{DAffine3, DMat3, DVec3, Vec3};
 
 use super::buffers::Buffers;
-use super::error::{Checked, Fault};
+use super::error::{Bound, Checked, Fault};
 use super::extras::Keys;
 use super::materials::Materials;
 use super::nodes::{Visit, all_worlds};
@@ -206,7 +206,7 @@ impl<'a> Placer<'a> {
         let place = || document.node_place(instance.node);
         if self.scene.instances.len() as u64 >= limits.instances {
             let what = "with it there are more placed meshes";
-            return Err(Fault::limit(place(), what, "instances", limits.instances));
+            return Err(Fault::limit(place(), what, Bound::Instances, limits.instances));
         }
         let known = self.scene.meshes.get(instance.mesh).zip(self.boxes.get(instance.mesh));
         let Some((mesh, bounds)) = known else { return Ok(()) };
@@ -227,7 +227,7 @@ impl<'a> Placer<'a> {
         self.triangles += self.scene.meshes.get(instance.mesh).map_or(0, |m| m.triangles.len() as u64);
         if self.triangles > limits.triangles {
             let what = format!("with it there are {} triangles", self.triangles);
-            return Err(Fault::limit(document.node_place(instance.node), what, "triangles", limits.triangles));
+            return Err(Fault::limit(document.node_place(instance.node), what, Bound::Triangles, limits.triangles));
         }
         self.scene.instances.push(instance);
         Ok(())

@@ -7,7 +7,7 @@ use exr::prelude::{ReadChannels, ReadLayers, f16};
 use glam::Vec3;
 use image::ImageDecoder;
 
-use super::error::{Checked, Fault, FaultKind, ImportError};
+use super::error::{Bound, Checked, Fault, FaultKind, ImportError};
 use super::files::Files;
 use super::options::Limits;
 use crate::sky::SkyImage;
@@ -23,9 +23,13 @@ pub struct LoadedSky {
     pub input: InputFile,
 }
 
+const PLACE: &str = "the sky of --sky or [sky]";
+
 /// Reads a sky; the container is told apart by its content.
 pub fn load(path: &Path, limits: &Limits) -> Result<LoadedSky, ImportError> {
-    read(path, limits).map_err(|fault| fault.in_file(path))
+    // Paths of skies come from the command line and from settings files: what concerns the file as a whole says so.
+    let origin = |fault: Fault| if fault.place.is_empty() { Fault { place: PLACE.into(), ..fault } } else { fault };
+    read(path, limits).map_err(|fault| origin(fault).in_file(path))
 }
 
 fn read(path: &Path, limits: &Limits) -> Checked<LoadedSky> {
@@ -56,7 +60,9 @@ fn broken(error: impl std::fmt::Display) -> Fault {
 fn check_size(width: u64, height: u64, limits: &Limits) -> Checked<()> {
     match width.checked_mul(height) {
         Some(pixels) if pixels <= limits.image_pixels => Ok(()),
-        _ => Err(Fault::limit("", format!("it has {width} × {height} pixels"), "image_pixels", limits.image_pixels)),
+        _ => {
+            Err(Fault::limit("", format!("it has {width} × {height} pixels"), Bound::ImagePixels, limits.image_pixels))
+        }
     }
 }
 
@@ -125,8 +131,8 @@ fn repair(texels: &mut [Vec3]) -> Option<Notice> {
 mod tests {
     use super::*;
 
-    fn file(name: &str, bytes: &[u8]) -> std::path::PathBuf {
-        let path = std::env::temp_dir().join(format!("luxel-sky-{}-{name}", std::process::id()));
+    fn file(folder: &tempfile::TempDir, name: &str, bytes: &[u8]) -> std::path::PathBuf {
+        let path = folder.path().join(name);
         std::fs::write(&path, bytes).unwrap();
         path
     }
@@ -140,30 +146,35 @@ mod tests {
 
     #[test]
     fn radiance_and_exr_are_read() {
-        let path = file("a.hdr", &hdr(16, 8, |i| [i as f32, 0.5, 8.0]));
+        let folder = tempfile::tempdir().unwrap();
+        let path = file(&folder, "a.hdr", &hdr(16, 8, |i| [i as f32, 0.5, 8.0]));
         let sky = load(&path, &Limits::default()).unwrap();
         assert_eq!((sky.image.width, sky.image.height, sky.notices.len()), (16, 8, 0));
         assert_eq!(sky.image.texels[64], Vec3::new(64.0, 0.5, 8.0));
         assert_eq!(sky.input.digest, *blake3::hash(&std::fs::read(&path).unwrap()).as_bytes());
 
-        let path = file("b.exr", &[]);
+        let path = file(&folder, "b.exr", &[]);
         exr::prelude::write_rgb_file(&path, 6, 3, |x, y| (x as f32, y as f32, 0.25f32)).unwrap();
         let sky = load(&path, &Limits::default()).unwrap();
         assert_eq!((sky.image.width, sky.image.height), (6, 3));
         assert_eq!(sky.image.texels[2 * 6 + 5], Vec3::new(5.0, 2.0, 0.25));
         let bytes = std::fs::read(&path).unwrap();
         for n in (0..bytes.len()).step_by(7) {
-            assert!(load(&file("cut.exr", &bytes[..n]), &Limits::default()).is_err(), "{n}");
+            assert!(load(&file(&folder, "cut.exr", &bytes[..n]), &Limits::default()).is_err(), "{n}");
         }
     }
 
     #[test]
     fn limits_and_formats() {
-        let path = file("c.hdr", &hdr(16, 8, |_| [1.0; 3]));
+        let folder = tempfile::tempdir().unwrap();
+        let path = file(&folder, "c.hdr", &hdr(16, 8, |_| [1.0; 3]));
         let fault = load(&path, &Limits { image_pixels: 100, ..Limits::default() }).unwrap_err();
         assert_eq!(fault.fault.kind, FaultKind::Limit, "{fault}");
-        let text = load(&file("d.hdr", b"GIF89a"), &Limits::default()).unwrap_err().to_string();
+        let text = load(&file(&folder, "d.hdr", b"GIF89a"), &Limits::default()).unwrap_err().to_string();
         assert!(text.contains(".hdr") && text.contains("convert"), "{text}");
+        let text = load(Path::new("nowhere/noon.hdr"), &Limits::default()).unwrap_err().to_string();
+        assert!(text.starts_with("nowhere/noon.hdr: the sky of --sky or [sky]: it cannot be read ("), "{text}");
+        assert_eq!(text.matches("noon.hdr").count(), 1, "{text}");
     }
 
     #[test]
