@@ -281,6 +281,52 @@ fn the_output_can_be_baked_again() {
     assert_eq!(lightmap, "third.lightmap.exr");
 }
 
+/// The picture that a texture of a .glb shows.
+fn embedded(glb: &[u8], document: &Value, texture: usize) -> image::RgbImage {
+    let image = document["textures"][texture]["source"].as_u64().unwrap() as usize;
+    let view = document["images"][image]["bufferView"].as_u64().unwrap() as usize;
+    let [offset, length] = ["byteOffset", "byteLength"].map(|key| document["bufferViews"][view][key].as_u64());
+    let bin = 20 + u32::from_le_bytes(glb[12..16].try_into().unwrap()) as usize + 8;
+    let start = bin + offset.unwrap_or(0) as usize;
+    image::load_from_memory(&glb[start..start + length.unwrap() as usize]).unwrap().to_rgb8()
+}
+
+/// A patch of sun, a thousand times as bright as the rest of the room, does not cost the rest its shades.
+#[test]
+fn the_embedded_pictures_hold_bright_and_dim_instances() {
+    let folder = folder(&["textured_room.glb"]);
+    quick(&["bake", "textured_room.glb"], folder.path()).ended(0);
+    let baked = folder.path().join("baked");
+    let outputs = Outputs::read(&baked, "textured_room");
+    let glb = std::fs::read(baked.join("textured_room.glb")).unwrap();
+    let map = &outputs.lightmaps[0];
+    let size = glam::Vec2::new(map.width() as f32, map.height() as f32);
+    let mut shown = Vec::new();
+    for (i, instance) in outputs.scene.instances.iter().enumerate() {
+        let mesh = &outputs.scene.meshes[instance.mesh];
+        let primitive = &outputs.document["meshes"][mesh.gltf_mesh]["primitives"][mesh.gltf_primitive];
+        let material = &outputs.document["materials"][primitive["material"].as_u64().unwrap() as usize];
+        let lightmap = &material["extensions"]["MOZ_lightmap"];
+        let intensity = lightmap["intensity"].as_f64().unwrap() as f32;
+        let picture = embedded(&glb, &outputs.document, lightmap["index"].as_u64().unwrap() as usize);
+        assert_eq!(picture.dimensions(), (map.width(), map.height()));
+        let mut peak = 0.0f32;
+        for triangle in &mesh.triangles {
+            let corners = triangle.map(|corner| mesh.uvs[1][corner as usize]);
+            let at = (corners.iter().sum::<glam::Vec2>() / 3.0 * size).as_uvec2();
+            let stored = map.irradiance()[(at.y * map.width() + at.x) as usize];
+            let seen = glam::Vec3::from(picture.get_pixel(at.x, at.y).0.map(f32::from)) / 255.0 * intensity;
+            let error = (seen - stored.min(glam::Vec3::splat(intensity))).abs().max_element();
+            assert!(error <= intensity / 254.0, "instance {i}: {seen} for {stored} of {intensity}");
+            peak = peak.max(stored.max_element());
+        }
+        shown.push((peak, intensity));
+    }
+    let brightest = shown.iter().fold(0.0f32, |m, (_, intensity)| m.max(*intensity));
+    let mut dim = shown.iter().filter(|(_, intensity)| *intensity < brightest / 8.0);
+    assert!(dim.any(|(peak, _)| *peak > 0.0), "{shown:?}");
+}
+
 #[test]
 fn a_scene_in_which_nothing_receives_comes_through_and_is_told_of() {
     let folder = folder(&[]);
