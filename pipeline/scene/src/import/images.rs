@@ -3,6 +3,7 @@
 //! Textures are requested first ([`Images::request`]); [`Images::decode`] then reads and decodes whatever was asked for.
 //! A texture that only serves normal or occlusion maps is never requested, so its file is not even opened.
 
+use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::io::Cursor;
 use std::sync::Arc;
@@ -56,7 +57,7 @@ impl Images {
     /// Reads and decodes everything that was requested.
     pub fn decode(self, buffers: &Buffers, files: &mut Files, limits: &Limits) -> Checked<Vec<Texture>> {
         // Fetching is serial, since it records what it reads; decoding is the slow part.
-        let mut encoded: BTreeMap<usize, Vec<u8>> = BTreeMap::new();
+        let mut encoded: BTreeMap<usize, Cow<[u8]>> = BTreeMap::new();
         for (image, _) in self.requests.keys() {
             if !encoded.contains_key(image) {
                 encoded.insert(*image, fetch(buffers, *image, files)?);
@@ -67,7 +68,7 @@ impl Images {
         let place_of = |image: &usize| places.get(image).map_or("image", String::as_str);
         let mut total = 0u64;
         for (image, _) in self.requests.keys() {
-            let bytes = encoded.get(image).map_or(&[][..], Vec::as_slice);
+            let bytes = encoded.get(image).map_or(&[][..], |bytes| bytes);
             // Averages take 16 bytes for every fourth texel and its successors, 5⅓ in all.
             total = total.saturating_add(pixels(bytes, place_of(image), limits)?.saturating_mul(4 + 6));
             if total > limits.texture_bytes {
@@ -117,13 +118,14 @@ fn source(buffers: &Buffers, texture: usize) -> Checked<usize> {
     Ok(image)
 }
 
-fn fetch(buffers: &Buffers, index: usize, files: &mut Files) -> Checked<Vec<u8>> {
+/// The bytes of an image, where they lie in a buffer: any number of images may name the same view.
+fn fetch<'b>(buffers: &'b Buffers, index: usize, files: &mut Files) -> Checked<Cow<'b, [u8]>> {
     let place = buffers.document().image_place(index);
     let image = buffers.document().root.images.get(index);
     let image = image.ok_or_else(|| Fault::invalid(&place, "it does not exist"))?;
     match (&image.buffer_view, &image.uri) {
-        (Some(view), _) => Ok(buffers.view(view.value())?.to_vec()),
-        (None, Some(uri)) => files.fetch(uri, &place),
+        (Some(view), _) => Ok(Cow::Borrowed(buffers.view(view.value())?)),
+        (None, Some(uri)) => Ok(Cow::Owned(files.fetch(uri, &place)?)),
         (None, None) => Err(Fault::invalid(place, "it has neither a URI nor a bufferView")),
     }
 }
