@@ -75,9 +75,8 @@ impl Stage {
     /// stored light of an older version is then made anew instead of being taken for this one's.
     pub fn version(self) -> u32 {
         match self {
-            Self::Surfels | Self::Propagate | Self::Gather | Self::Finish => 2,
+            Self::Unwrap | Self::Surfels | Self::Propagate | Self::Gather | Self::Finish | Self::Export => 2,
             Self::Import
-            | Self::Unwrap
             | Self::Rays
             | Self::Shoot
             | Self::Refresh
@@ -85,8 +84,7 @@ impl Stage {
             | Self::Clear
             | Self::Direct
             | Self::Sky
-            | Self::Preview
-            | Self::Export => 1,
+            | Self::Preview => 1,
         }
     }
 }

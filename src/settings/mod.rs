@@ -97,8 +97,8 @@ settings! {
         ["preset"] preset: Preset = Preset::Medium;
     }
     "Lightmap" {
-        /// Side of an atlas, which the scene fills. Where its charts do not fit at one texel each plus padding,
-        /// further atlases of that side are added.
+        /// Side of an atlas, which the scene fills. Where its charts and their padding do not fit at a quarter of the
+        /// texel density that their area alone would have, further atlases of that side are added.
         ["texels"] size: Texels = Texels(1024);
         /// Texels per scene unit, instead of filling one atlas. The extra luxel_scale of a node multiplies it.
         ["texels per scene unit"] texel_density: OrAuto = OrAuto(None);
