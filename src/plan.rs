@@ -75,16 +75,15 @@ impl Stage {
     /// stored light of an older version is then made anew instead of being taken for this one's.
     pub fn version(self) -> u32 {
         match self {
-            Self::Unwrap | Self::Surfels | Self::Propagate | Self::Gather | Self::Finish | Self::Export => 2,
-            Self::Import
-            | Self::Rays
+            Self::Unwrap
+            | Self::Surfels
             | Self::Shoot
-            | Self::Refresh
-            | Self::Cache
-            | Self::Clear
+            | Self::Propagate
             | Self::Direct
-            | Self::Sky
-            | Self::Preview => 1,
+            | Self::Gather
+            | Self::Finish
+            | Self::Export => 2,
+            Self::Import | Self::Rays | Self::Refresh | Self::Cache | Self::Clear | Self::Sky | Self::Preview => 1,
         }
     }
 }

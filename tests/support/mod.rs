@@ -72,9 +72,9 @@ pub fn some_texels(lit: &Lit, count: usize, wanted: impl Fn(usize) -> bool) -> V
 pub fn position(scene: &Scene, lit: &Lit, texel: usize) -> DVec3 {
     let t = &lit.atlas.texels[texel];
     let instance = &scene.instances[lit.atlas.chart(t).instance as usize];
-    let [a, b, c] = scene.corners(instance.mesh, t.triangle as usize);
-    let [u, v] = t.barycentric();
-    instance.transform.transform_point3((a + (b - a) * u + (c - a) * v).as_dvec3())
+    let [a, b, c] = scene.corners(instance.mesh, t.triangle as usize).map(|corner| corner.as_dvec3());
+    let [u, v] = t.barycentric().map(f64::from);
+    instance.transform.transform_point3(a + (b - a) * u + (c - a) * v)
 }
 
 /// A texel as a receiver, at its own point.

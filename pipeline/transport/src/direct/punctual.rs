@@ -156,11 +156,12 @@ pub fn is_lamp_out(lamp: &Lamp, tile: &Tile) -> bool {
         // The cone about the axis, widened by the sphere around the tile.
         distance > reach && {
             let widen = reach / distance;
-            let (c, s) = (spot.cos_outer, (1.0 - spot.cos_outer * spot.cos_outer).max(0.0).sqrt());
+            let c = spot.cos_outer as f32;
+            let s = (1.0 - c * c).max(0.0).sqrt();
             let (cw, sw) = ((1.0 - widen * widen).sqrt(), widen);
             // cos(outer + widening), which must stay below π for the comparison to hold.
             let limit = if cw > -c { c * cw - s * sw } else { -1.0 };
-            spot.direction.dot(to) < distance * limit - 1e-4 * distance
+            spot.direction.as_vec3().dot(to) < distance * limit - 1e-4 * distance
         }
     });
     far || out || tile.plane.is_some_and(|(n, d)| n.dot(lamp.position) + lamp.radius <= d - slack)

@@ -25,27 +25,28 @@ pub struct Lamp {
     pub identity: u64,
 }
 
-/// The cone of a spot light, as KHR_lights_punctual's falloff wants it.
+/// The cone of a spot light, as KHR_lights_punctual's falloff wants it. In f64: at the rim the falloff is the square of
+/// a difference that vanishes.
 #[derive(Clone, Copy, Debug)]
 pub struct Spot {
     /// Unit axis of the beam, away from the lamp.
-    pub direction: Vec3,
+    pub direction: DVec3,
     /// Cosine of the outer half angle: no light beyond it.
-    pub cos_outer: f32,
+    pub cos_outer: f64,
     /// 1/(cos inner − cos outer), bounded.
-    pub slope: f32,
+    pub slope: f64,
 }
 
 impl Spot {
     /// Share of the axis' intensity at the cosine between axis and direction.
-    pub fn falloff(&self, cosine: f32) -> f32 {
+    pub fn falloff(&self, cosine: f64) -> f32 {
         let a = ((cosine - self.cos_outer) * self.slope).clamp(0.0, 1.0);
-        a * a
+        (a * a) as f32
     }
 
     /// ∫ falloff dΩ [sr].
     fn solid_angle(&self) -> f64 {
-        let (outer, slope) = (f64::from(self.cos_outer), f64::from(self.slope));
+        let (outer, slope) = (self.cos_outer, self.slope);
         let full = (outer + 1.0 / slope).min(1.0);
         TAU * (slope * slope * (full - outer).powi(3) / 3.0 + 1.0 - full)
     }
@@ -58,8 +59,7 @@ impl Lamp {
             LightKind::Point { position, range, radius } => (position, range, radius, None),
             LightKind::Spot { position, direction, inner, outer, range, radius } => {
                 let (cos_inner, cos_outer) = (libm::cos(inner), libm::cos(outer));
-                let slope = (1.0 / (cos_inner - cos_outer).max(1e-3)) as f32;
-                let spot = Spot { direction: direction.as_vec3(), cos_outer: cos_outer as f32, slope };
+                let spot = Spot { direction, cos_outer, slope: 1.0 / (cos_inner - cos_outer).max(1e-3) };
                 (position, range, radius, Some(spot))
             }
             LightKind::Sun { .. } => return None,
@@ -82,7 +82,7 @@ impl Lamp {
         let to = point - self.position;
         let distance = to.length();
         let falloff = match &self.spot {
-            Some(spot) if distance > 0.0 => spot.falloff(spot.direction.dot(to) / distance),
+            Some(spot) if distance > 0.0 => spot.falloff(spot.direction.dot(to.as_dvec3().normalize())),
             _ => 1.0,
         };
         self.intensity * (falloff * self.window(distance))

@@ -176,9 +176,9 @@ fn shoot_lamp(lamp: &Lamp, place: Vec2, p: Vec2, count: f64, tracer: &mut Tracer
     let (direction, solid_angle, falloff) = match &lamp.spot {
         None => (sphere(p), 4.0 * PI, 1.0),
         Some(spot) => {
-            let local = cap(p, spot.cos_outer);
-            let solid_angle = 2.0 * PI * (1.0 - f64::from(spot.cos_outer));
-            (basis(spot.direction) * local, solid_angle, spot.falloff(local.z))
+            let local = cap(p, spot.cos_outer as f32);
+            let solid_angle = 2.0 * PI * (1.0 - spot.cos_outer);
+            (basis(spot.direction.as_vec3()) * local, solid_angle, spot.falloff(local.z.into()))
         }
     };
     let flux = lamp.intensity.as_dvec3() * (f64::from(falloff) * solid_angle / count);
