@@ -344,7 +344,7 @@ mod tests {
         let hash = blake3::hash(&Octree::new(&surfels, &solution).to_bytes().unwrap()).to_hex();
         let versions = STORED.map(|stage| format!("{} {}", stage.name(), stage.version())).join(", ");
         let known = (
-            "surfels 2, shoot 1, propagate 2, refresh 1",
+            "surfels 2, shoot 2, propagate 2, refresh 1",
             "a5937473ca316f9a43bfad336a5f73c569986f85bb9926a3b16f039792d55559",
         );
         assert_eq!(
