@@ -75,7 +75,7 @@ impl Buffers {
             }
             None => {
                 let limit = self.budget_at_start;
-                Err(Fault::limit(place, "with it the decoded geometry takes more bytes", self.bound, limit))
+                Err(Fault::limit(place, "with it the decoded geometry has a size in bytes", self.bound, limit))
             }
         }
     }
