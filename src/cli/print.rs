@@ -80,14 +80,17 @@ pub fn failed(style: Style, scene: &Path, error: &anyhow::Error) {
     if style != Style::Json {
         return failure(Some(scene), error);
     }
-    let causes: Vec<String> = error.chain().skip(1).map(ToString::to_string).collect();
-    event(&json!({ "event": "failed", "scene": written(scene), "error": error.to_string(), "causes": causes }));
+    event(&json!({ "event": "failed", "scene": written(scene), "error": error.to_string(), "causes": causes(error) }));
+}
+
+/// What an error says of its causes, from the nearest on.
+fn causes(error: &anyhow::Error) -> Vec<String> {
+    error.chain().skip(1).map(ToString::to_string).collect()
 }
 
 /// The end of a command line that could not be followed, for programs.
 pub fn misused(error: &anyhow::Error) {
-    let causes: Vec<String> = error.chain().skip(1).map(ToString::to_string).collect();
-    event(&json!({ "event": "usage", "error": error.to_string(), "causes": causes }));
+    event(&json!({ "event": "usage", "error": error.to_string(), "causes": causes(error) }));
 }
 
 /// An error with its causes, each on its own line.

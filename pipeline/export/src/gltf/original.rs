@@ -56,7 +56,7 @@ impl Original {
         let Value::Object(root) = root else { return Err(Fault::invalid("JSON", "it is not an object")) };
         let mut original = Self { path: path.into(), root, buffers, taken_in: Vec::new(), notices: Vec::new(), files };
         original.check_views()?;
-        original.check_size("", largest)?;
+        check_size(original.bytes(), largest, "")?;
         original.load_images(largest)?;
         Ok(original)
     }
@@ -122,27 +122,25 @@ impl Original {
     fn load_images(&mut self, largest: u64) -> Checked<()> {
         // View and media type by URI.
         let mut known: BTreeMap<String, (usize, String)> = BTreeMap::new();
+        let mut total = self.bytes();
         for i in 0..list(&self.root, "images").len() {
             let image = item(&self.root, "images", i)?;
             let Some(uri) = image.get("uri").and_then(Value::as_str).map(str::to_owned) else { continue };
-            let (view, kind) = match known.get(&uri) {
-                Some(found) => found.clone(),
-                None => {
-                    let at = place(&self.root, "images", i);
-                    let bytes = match self.files.fetch(&uri, &at) {
-                        Ok(bytes) => bytes,
-                        Err(fault) => {
-                            let message = format!("{}: it is not embedded: {}", fault.place, fault.what);
-                            self.notices.push(Notice { code: "image-left-out", message });
-                            continue;
-                        }
-                    };
-                    let found = self.take_in(bytes, &uri)?;
-                    self.check_size(&at, largest)?;
-                    known.insert(uri, found.clone());
-                    found
+            if !known.contains_key(&uri) {
+                let at = place(&self.root, "images", i);
+                match self.files.fetch(&uri, &at) {
+                    Ok(bytes) => {
+                        total += bytes.len() as u64;
+                        check_size(total, largest, &at)?;
+                        known.insert(uri.clone(), self.take_in(bytes, &uri)?);
+                    }
+                    Err(fault) => {
+                        let message = format!("{}: it is not embedded: {}", fault.place, fault.what);
+                        self.notices.push(Notice { code: "image-left-out", message });
+                    }
                 }
-            };
+            }
+            let Some((view, kind)) = known.get(&uri).cloned() else { continue };
             let image = item_mut(&mut self.root, "images", i)?;
             image.shift_remove("uri");
             image.entry("mimeType").or_insert(kind.into());
@@ -160,17 +158,16 @@ impl Original {
         self.taken_in.push(bytes);
         Ok((view, kind))
     }
+}
 
-    /// Sees that what was read so far goes into a .glb.
-    fn check_size(&self, place: &str, largest: u64) -> Checked<()> {
-        let bytes = self.bytes();
-        if bytes <= largest {
-            return Ok(());
-        }
-        let what = format!("buffers and images have {bytes} bytes so far, more than the {largest} of a .glb");
-        let hint = "a .glb counts in 32 bits: bake the scene in several parts, or with smaller textures";
-        Err(Fault::new(FaultKind::Limit, place, what, hint))
+/// Sees that the bytes that were read so far go into a .glb.
+fn check_size(bytes: u64, largest: u64, place: &str) -> Checked<()> {
+    if bytes <= largest {
+        return Ok(());
     }
+    let what = format!("buffers and images have {bytes} bytes so far, more than the {largest} of a .glb");
+    let hint = "a .glb counts in 32 bits: bake the scene in several parts, or with smaller textures";
+    Err(Fault::new(FaultKind::Limit, place, what, hint))
 }
 
 #[cfg(test)]

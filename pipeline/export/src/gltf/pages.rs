@@ -52,7 +52,7 @@ impl Pages {
     }
 
     /// Gives the textures and images their places. All materials must have theirs.
-    pub fn settle(self, draft: &mut Draft) -> Checked<()> {
+    pub fn settle(mut self, draft: &mut Draft) -> Checked<()> {
         if self.shown.is_empty() {
             return Ok(());
         }
@@ -70,12 +70,11 @@ impl Pages {
         let image_slots = free(&our_images, &used, &possible, old_images, self.shown.len());
         follow(&mut draft.root, references::lightmaps, self.old, &slots);
         let sampler = sampler(&mut draft.root)?;
-        let mut list: Vec<Option<PageTexture>> = self.list.into_iter().map(Some).collect();
         for ((picture, slot), image) in self.shown.iter().zip(slots).zip(image_slots) {
-            let Some(shown) = list.get_mut(*picture).and_then(Option::take) else { continue };
+            let shown = &mut self.list[*picture];
             let name = format!("lightmap {} to {} lux", shown.picture.page, shown.picture.intensity);
-            let extras = json!({ "luxel": mark(&shown) });
-            let view = draft.add_view(shown.png, Target::Other);
+            let extras = json!({ "luxel": mark(shown) });
+            let view = draft.add_view(std::mem::take(&mut shown.png), Target::Other);
             let picture = json!({ "name": name, "bufferView": view, "mimeType": "image/png" });
             put_item(&mut draft.root, "images", image, picture)?;
             let texture = json!({ "name": name, "sampler": sampler, "source": image, "extras": extras });
