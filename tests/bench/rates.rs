@@ -116,7 +116,7 @@ impl<'a> Subject<'a> {
     fn sweep_seconds(&self, sweep: &Sweep, directions: &[Direction], grey: bool) -> f64 {
         let light = vec![Rgb::ONE; self.count()];
         meter::thread_seconds(|| {
-            black_box(sweep.apply(directions, &light, None, grey, &Silent).expect("nobody cancels"));
+            black_box(sweep.apply(directions, light, None, grey, &Silent).expect("nobody cancels"));
         })
     }
 
@@ -184,7 +184,9 @@ impl<'a> Subject<'a> {
         let (one, two) = (pool(1), pool(2));
         let wall = |pool: &rayon::ThreadPool| {
             meter::wall_seconds(|| {
-                pool.install(|| black_box(sweep.apply(&directions, &light, None, false, &Silent).expect("no cancel")));
+                pool.install(|| {
+                    black_box(sweep.apply(&directions, light.clone(), None, false, &Silent).expect("no cancel"))
+                });
             })
         };
         let times: Vec<(f64, f64)> = (0..2 * RUNS).map(|_| (wall(&one), wall(&two))).collect();

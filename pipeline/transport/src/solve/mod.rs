@@ -24,6 +24,7 @@ mod stiff;
 
 use std::borrow::Cow;
 
+use glam::DVec3;
 use luxel_scene::{Cancelled, Progress};
 
 use crate::{
@@ -234,6 +235,9 @@ fn directions_of(settings: &SolveSettings, bounce: u32) -> u32 {
     halved.max(settings.floor.min(settings.directions)).max(1)
 }
 
+/// Steps of a share of sky: the ledger sums thousands of them.
+const SKY_STEPS: f32 = 65535.0;
+
 /// State of the iteration.
 struct Bounces<'a> {
     settings: &'a SolveSettings,
@@ -241,8 +245,8 @@ struct Bounces<'a> {
     progress: &'a dyn Progress,
     sweep: Sweep<'a>,
     grey: bool,
-    /// Share of sky that each surfel sees, empty where it was not measured.
-    sky_seen: Vec<f32>,
+    /// Share of sky that each surfel sees, in [`SKY_STEPS`]; empty where it was not measured.
+    sky_seen: Vec<u16>,
     stages: Vec<Stage>,
     report: SolveReport,
 }
@@ -266,7 +270,7 @@ impl Bounces<'_> {
     fn apply(
         &mut self,
         directions: &[Direction],
-        radiosity: &[Rgb],
+        radiosity: Vec<Rgb>,
         sky: Option<SkyFn>,
     ) -> Result<Vec<Rgb>, Cancelled> {
         self.report.discrete_rays += directions.len() as u64 * radiosity.len() as u64;
@@ -288,7 +292,7 @@ impl Bounces<'_> {
             }
         }
         let directions = self.settings.set.directions(self.settings.directions, 0);
-        let arrived = self.apply(&directions, &emitted, None)?;
+        let arrived = self.apply(&directions, emitted, None)?;
         direct.iter_mut().zip(arrived).for_each(|(d, e)| *d += e);
         Ok(())
     }
@@ -304,23 +308,28 @@ impl Bounces<'_> {
         self.report.discrete_rays += directions.len() as u64 * count as u64;
         self.report.rows = Some(summary(self.surfels(), &rows));
         if !self.settings.closed {
-            self.sky_seen = rows.iter().map(|r| r.y).collect();
+            self.sky_seen = rows.iter().map(|r| (r.y.min(1.0) * SKY_STEPS).round() as u16).collect();
         }
         Ok(())
     }
 
-    fn stage(&self, radiosity: &[Rgb], arrived: &[Rgb], with_sky: bool) -> Stage {
+    /// What the surfels send, before it arrives anywhere.
+    fn sent(&self, radiosity: &[Rgb]) -> Stage {
         let surfels = self.surfels();
-        let sent = flux(surfels, |i| radiosity[i]);
-        let escaped = if self.sky_seen.is_empty() {
-            glam::DVec3::ZERO
-        } else {
-            flux(surfels, |i| radiosity[i] * self.sky_seen[i])
-        };
-        let arrived = flux(surfels, |i| arrived[i]);
+        let escaped = |i: usize| radiosity[i] * (f32::from(self.sky_seen[i]) / SKY_STEPS);
+        Stage {
+            sent: flux(surfels, |i| radiosity[i]),
+            escaped: if self.sky_seen.is_empty() { DVec3::ZERO } else { flux(surfels, escaped) },
+            ..Stage::default()
+        }
+    }
+
+    /// The stage with what has arrived.
+    fn arrived(&self, stage: Stage, irradiance: &[Rgb], with_sky: bool) -> Stage {
+        let arrived = flux(self.surfels(), |i| irradiance[i]);
         // What the sky brings is not separated from what the surfels send in the same sweep, but by the balance.
-        let sky = if with_sky { (arrived + escaped - sent).max(glam::DVec3::ZERO) } else { glam::DVec3::ZERO };
-        Stage { sent, escaped, sky, arrived }
+        let sky = if with_sky { (arrived + stage.escaped - stage.sent).max(DVec3::ZERO) } else { DVec3::ZERO };
+        Stage { sky, arrived, ..stage }
     }
 
     fn run(&mut self, direct: &[Rgb], global_cache: &mut [Rgb]) -> Result<(), Cancelled> {
@@ -337,14 +346,15 @@ impl Bounces<'_> {
                 return Ok(());
             }
             let directions = self.settings.set.directions(directions_of(self.settings, bounce), bounce);
-            let cache_plus = self.apply(&directions, &radiosity, sky)?;
+            let stage = self.sent(&radiosity);
+            let cache_plus = self.apply(&directions, radiosity, sky)?;
             global_cache.iter_mut().zip(&cache_plus).for_each(|(g, p)| *g += *p);
-            self.stages.push(self.stage(&radiosity, &cache_plus, sky.is_some()));
+            self.stages.push(self.arrived(stage, &cache_plus, sky.is_some()));
             let increment = self.energy(&cache_plus);
             if let Some(last) = self.report.bounces.last() {
                 q = if last.increment > 0.0 { (increment / last.increment).min(f64::from(brightest)) } else { 0.0 };
             }
-            let rays = directions.len() as u64 * radiosity.len() as u64;
+            let rays = directions.len() as u64 * cache_plus.len() as u64;
             self.report.bounces.push(Bounce { directions: directions.len() as u32, rays, increment });
             self.report.q = q;
             current_cache = cache_plus;
@@ -387,12 +397,12 @@ impl Bounces<'_> {
         let directions = self.settings.set.directions(self.settings.stiff_directions, u32::MAX - 1);
         let source = self.reflected(current);
         let (sweep, grey, progress) = (&self.sweep, self.grey, self.progress);
-        let operator = |radiosity: &[Rgb]| sweep.apply(&directions, radiosity, None, grey, progress);
+        let operator = |radiosity: &[Rgb]| sweep.apply(&directions, radiosity.to_vec(), None, grey, progress);
         let rest = stiff::solve(self.sweep.surfels(), &source, q, total, self.settings.tolerance, operator)?;
         self.report.stiff_steps = rest.steps;
         self.report.discrete_rays += u64::from(rest.steps) * directions.len() as u64 * source.len() as u64;
         global_cache.iter_mut().zip(&rest.irradiance).for_each(|(g, e)| *g += *e);
-        self.stages.push(self.stage(&rest.radiosity, &rest.irradiance, false));
+        self.stages.push(self.arrived(self.sent(&rest.radiosity), &rest.irradiance, false));
         self.report.tail = if total > 0.0 { rest.remaining / (total + self.energy(&rest.irradiance)) } else { 0.0 };
         Ok(())
     }
@@ -406,7 +416,7 @@ pub fn row_sums(sweep: &Sweep, directions: &[Direction], progress: &dyn Progress
     let ones = vec![Rgb::X; sweep.surfels().list.len()];
     // Divided by π, because a sky of radiance L stands for the radiosity πL.
     let sky = |_| Rgb::Y / std::f32::consts::PI;
-    sweep.apply(directions, &ones, Some(&sky), false, progress)
+    sweep.apply(directions, ones, Some(&sky), false, progress)
 }
 
 fn summary(surfels: &Surfels, rows: &[Rgb]) -> RowSums {

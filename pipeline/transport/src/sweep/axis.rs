@@ -4,6 +4,10 @@
 //! order is free but for the surfels that share a voxel. So each slice holds first its surfels that are alone in their
 //! voxel, plane by plane, then the voxels of several.
 
+use std::ops::Range;
+
+use glam::Vec3;
+
 use crate::surfel::Surfels;
 
 use super::planes::Planes;
@@ -17,6 +21,12 @@ pub const NOWHERE: u32 = u32::MAX >> 1;
 /// Surfels of a patch, at least: for fewer, it is quicker to look at each by itself.
 const LEAST: u32 = 4;
 
+/// Surfels of a part, about, so that several threads find room in a slice that is one large wall.
+const PART: u32 = 2048;
+
+/// Steps of a voxel edge in which centroids are held.
+const STEPS: f32 = 65535.0;
+
 /// Surfels of one plane in one slice, each alone in its voxel.
 #[derive(Clone, Copy)]
 pub struct Patch {
@@ -27,30 +37,42 @@ pub struct Patch {
     pub partial: bool,
 }
 
-/// First surfel, first patch, and first surfel that shares its voxel.
+/// Some of the surfels of a slice: the first one, the first patch, and the first one that shares its voxel.
 #[derive(Clone, Copy, Default)]
-pub struct Contents {
+pub struct Part {
+    pub slice: u32,
     pub start: u32,
     pub patches: u32,
     pub shared: u32,
 }
 
+/// What decides about lines that pass a surfel, in [`STEPS`] of one.
+#[derive(Clone, Copy)]
+#[repr(align(8))]
+struct Shape {
+    /// From the corner of the voxel: near surfels of one line lie a known number of voxels apart, and the difference is
+    /// exact wherever in the grid they are.
+    centroid: [u16; 3],
+    /// Share of the lines that it stops.
+    fill: u16,
+}
+
 /// All surfels sorted by the dominant axis first. Lengths in voxel edges, axes turned so that x is the dominant one.
 pub struct AxisCopy {
     pub axis: usize,
-    /// Line key y·stride + z before the shift of its slice, and a flag.
+    /// Place y·stride + z in its slice, and a flag.
     keys: Vec<u32>,
     /// n · (centre of the voxel − centroid).
     pub center_heights: Vec<f32>,
     /// Plane of each of them, and none for the three emitters that are no surfel.
     pub planes: Vec<u32>,
-    pub centroids: Vec<[f32; 3]>,
-    /// Share of the lines that each of them stops, of 65536.
-    pub fill: Vec<u16>,
+    shapes: Vec<Shape>,
     pub normals: Vec<[f32; 3]>,
     pub patches: Vec<Patch>,
-    /// Contents of every slice, and the end.
-    pub slices: Vec<Contents>,
+    /// At least one of every slice, in the order of the surfels, and the end.
+    pub parts: Vec<Part>,
+    /// First surfel of every slice, and the end.
+    pub slices: Vec<u32>,
     /// Voxels along the turned axes.
     pub size: [i32; 3],
     /// Cells of the line table from one y to the next.
@@ -102,96 +124,91 @@ fn counting_sort(from: &[u32], keys: usize, key: impl Fn(u32) -> usize) -> Vec<u
 
 impl AxisCopy {
     pub fn new(surfels: &Surfels, planes: &Planes, axis: usize, order: &[u32]) -> Self {
-        let turn = |v: glam::Vec3| [v[axis], v[(axis + 1) % 3], v[(axis + 2) % 3]];
-        let g = surfels.grid.size;
-        let size = [g[axis], g[(axis + 1) % 3], g[(axis + 2) % 3]];
-        // Slopes are at most 1, so lines shift by at most the number of slices along a minor axis.
-        let stride = (size[2] + size[0] + 2) as u32;
+        let turn = |v: Vec3| [v[axis], v[(axis + 1) % 3], v[(axis + 2) % 3]];
+        let size = turn(surfels.grid.size.as_vec3()).map(|side| side as i32);
+        // An odd number of cache lines of eight cells: those of a column do not fall into the same few places.
+        let stride = (size[2] as u32).div_ceil(8) / 2 * 16 + 8;
         let count = order.len();
         let mut copy = Self {
             axis,
             keys: Vec::with_capacity(count),
             center_heights: Vec::with_capacity(count),
             planes: Vec::with_capacity(count + 3),
-            centroids: Vec::with_capacity(count),
-            fill: Vec::with_capacity(count),
+            shapes: Vec::with_capacity(count),
             normals: planes.normals.iter().map(|&n| turn(n)).collect(),
             patches: Vec::new(),
+            parts: Vec::new(),
             slices: Vec::with_capacity(size[0] as usize + 1),
             size,
             stride,
         };
-        let mut shared_before = false;
-        let mut begins = true;
         for (k, &i) in order.iter().enumerate() {
             let s = &surfels.list[i as usize];
-            let voxel = s.voxel().to_array();
-            let (x, y, z) = (voxel[axis], voxel[(axis + 1) % 3], voxel[(axis + 2) % 3]);
+            let voxel = s.voxel();
+            let [x, y, z] = [0, 1, 2].map(|turned| voxel[(axis + turned) % 3]);
             while copy.slices.len() <= x as usize {
-                copy.begin_slice();
-                begins = true;
+                copy.slices.push(k as u32);
             }
-            let shares = order.get(k + 1).is_some_and(|&next| surfels.list[next as usize].voxel() == s.voxel());
+            let shares = order.get(k + 1).is_some_and(|&next| surfels.list[next as usize].voxel() == voxel);
+            copy.keys.push((y as u32 * stride + z as u32) | if shares { SHARES_VOXEL } else { 0 });
+            // Centroids lie in their voxels, but for rounding.
+            let centroid = (surfels.grid.local(s.centroid) - voxel.as_vec3()).clamp(Vec3::ZERO, Vec3::ONE);
+            let steps = turn(centroid).map(|c| (c * STEPS).round() as u16);
+            copy.shapes.push(Shape { centroid: steps, fill: s.fill_steps() });
             let plane = planes.of[i as usize];
-            if !shares && !shared_before {
-                let partial = s.fill() < 1.0;
-                let continues =
-                    !begins && copy.patches.last().is_some_and(|p| (p.plane, p.partial) == (plane, partial));
-                if !continues {
-                    copy.patches.push(Patch { start: k as u32, plane, partial });
-                }
-                copy.slices[x as usize].shared = k as u32 + 1;
-            }
-            begins = false;
-            shared_before = shares;
-            let centroid = surfels.grid.local(s.centroid);
-            let flag = if shares { SHARES_VOXEL } else { 0 };
-            copy.keys.push((y as u32 * stride + z as u32) | flag);
-            copy.center_heights.push(planes.normals[plane as usize].dot(s.voxel().as_vec3() + 0.5 - centroid));
             copy.planes.push(plane);
-            copy.centroids.push(turn(centroid));
-            copy.fill.push(s.fill_steps());
+            copy.center_heights.push(planes.normals[plane as usize].dot(0.5 - centroid));
         }
-        while copy.slices.len() <= size[0] as usize {
-            copy.begin_slice();
-        }
+        copy.slices.resize(size[0] as usize + 1, count as u32);
         copy.planes.extend([NOWHERE; 3]);
-        copy.merge_small_patches();
+        (0..size[0] as u32).for_each(|x| copy.divide(x));
+        copy.begin_part(size[0] as u32, count as u32);
         copy
     }
 
-    /// Neighbouring patches of few surfels become one of no common plane.
-    fn merge_small_patches(&mut self) {
-        let patches = std::mem::take(&mut self.patches);
-        for x in 0..self.slices.len() - 1 {
-            let (first, last) = (self.slices[x].patches as usize, self.slices[x + 1].patches as usize);
-            let begin = self.patches.len();
-            for k in first..last {
-                let end = if k + 1 < last { patches[k + 1].start } else { self.slices[x].shared };
-                if end - patches[k].start >= LEAST {
-                    self.patches.push(patches[k]);
-                } else if self.patches.len() == begin || self.patches.last().is_some_and(|p| p.plane != NOWHERE) {
-                    self.patches.push(Patch { plane: NOWHERE, ..patches[k] });
-                }
+    /// Divides a slice into parts, and its surfels that are alone in their voxels into patches.
+    fn divide(&mut self, x: u32) {
+        let (start, end) = (self.slices[x as usize], self.slices[x as usize + 1]);
+        let shared = (start..end).find(|&i| self.shares_voxel(i as usize)).unwrap_or(end);
+        let mut part = self.begin_part(x, start);
+        let mut at = start;
+        while at < shared {
+            if at - self.parts[part].start >= PART {
+                part = self.begin_part(x, at);
             }
-            self.slices[x].patches = begin as u32;
+            let kind = |i: u32| (self.planes[i as usize], self.is_partial(i as usize));
+            let (plane, partial) = kind(at);
+            let count = (at..shared.min(at + PART)).take_while(|&i| kind(i) == (plane, partial)).count() as u32;
+            // Neighbouring patches of few surfels become one of no common plane.
+            let plane = if count < LEAST { NOWHERE } else { plane };
+            let continues = plane == NOWHERE
+                && self.patches[self.parts[part].patches as usize..].last().is_some_and(|last| last.plane == NOWHERE);
+            if !continues {
+                self.patches.push(Patch { start: at, plane, partial });
+            }
+            at += count;
+            self.parts[part].shared = at;
         }
-        let end = self.slices.len() - 1;
-        self.slices[end].patches = self.patches.len() as u32;
+        while at < end {
+            if at - self.parts[part].start >= PART {
+                part = self.begin_part(x, at);
+            }
+            at += (at..end).take_while(|&i| self.shares_voxel(i as usize)).count() as u32 + 1;
+        }
     }
 
-    fn begin_slice(&mut self) {
-        let start = self.keys.len() as u32;
-        self.slices.push(Contents { start, patches: self.patches.len() as u32, shared: start });
+    fn begin_part(&mut self, slice: u32, start: u32) -> usize {
+        self.parts.push(Part { slice, start, patches: self.patches.len() as u32, shared: start });
+        self.parts.len() - 1
     }
 
     pub fn len(&self) -> usize {
         self.keys.len()
     }
 
-    /// Cells of the table of lines, at most: lines shift by at most one row per slice.
-    pub fn most_cells(&self) -> usize {
-        (self.size[1] + self.size[0]) as usize * self.stride as usize
+    /// Cells of the table of lines: one for every voxel of a slice.
+    pub fn cells(&self) -> u32 {
+        self.size[1] as u32 * self.stride
     }
 
     #[inline(always)]
@@ -201,7 +218,7 @@ impl AxisCopy {
 
     /// Keys of surfels that are alone in their voxels.
     #[inline(always)]
-    pub fn lone_keys(&self, range: std::ops::Range<usize>) -> &[u32] {
+    pub fn lone_keys(&self, range: Range<usize>) -> &[u32] {
         &self.keys[range]
     }
 
@@ -211,15 +228,32 @@ impl AxisCopy {
         self.keys[i] & SHARES_VOXEL != 0
     }
 
+    /// The surfel does not stop all lines through its plane.
+    #[inline(always)]
+    pub fn is_partial(&self, i: usize) -> bool {
+        self.shapes[i].fill != u16::MAX
+    }
+
+    /// Share of the lines that a surfel stops, of 65535.
+    pub fn fill(&self, i: usize) -> u16 {
+        self.shapes[i].fill
+    }
+
     #[inline(always)]
     pub fn normal(&self, i: usize) -> &[f32; 3] {
         &self.normals[self.planes[i] as usize]
     }
 
-    /// n · (p − c): how far a point lies in front of a surfel's plane.
+    /// Centroid from the corner of its voxel.
     #[inline(always)]
-    pub fn height(&self, i: usize, p: &[f32; 3]) -> f32 {
-        let (n, c) = (self.normal(i), &self.centroids[i]);
-        n[0] * (p[0] - c[0]) + n[1] * (p[1] - c[1]) + n[2] * (p[2] - c[2])
+    pub fn centroid(&self, i: usize) -> [f32; 3] {
+        self.shapes[i].centroid.map(|steps| f32::from(steps) * (1.0 / STEPS))
+    }
+
+    /// From the centroid of a surfel to that of another one, whose voxel lies `apart` from the first one's.
+    #[inline(always)]
+    pub fn between(&self, from: usize, to: usize, apart: &[f32; 3]) -> [f32; 3] {
+        let (a, b) = (&self.shapes[from].centroid, &self.shapes[to].centroid);
+        [0, 1, 2].map(|k| apart[k] + (i32::from(b[k]) - i32::from(a[k])) as f32 * (1.0 / STEPS))
     }
 }

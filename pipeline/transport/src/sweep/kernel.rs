@@ -8,10 +8,13 @@
 
 use std::ops::Range;
 
+use luxel_scene::Cancelled;
+
 use super::{
     axis::{AxisCopy, NOWHERE},
     lines::{Lines, Slice},
     sample::Sample,
+    turns,
 };
 use crate::{Rgb, surfel::MAX_PER_VOXEL};
 
@@ -56,30 +59,31 @@ impl Default for Table {
 }
 
 impl Table {
-    fn clear(&mut self, cells: usize, most: usize, start: Cell) {
-        // As many as any direction needs: tables that grow would be copied.
+    fn clear(&mut self, cells: usize, start: Cell) {
         self.cells.clear();
-        self.cells.reserve_exact(most);
+        self.cells.reserve_exact(cells);
         self.cells.resize(cells, start);
-        if self.older.len() < most {
-            self.older = vec![start; most];
+        if self.older.len() < cells {
+            self.older = vec![start; cells];
         }
     }
 }
 
-/// What the surfels send, and behind them what [`SKY`], [`UNKNOWN`] and [`BLACK`] do; the sky's own light is added
-/// apart.
-pub fn light<S: Sample>(order: &[u32], radiosity: &[Rgb]) -> Vec<S> {
-    let surfels = order.iter().map(|&i| S::new(radiosity[i as usize], 1.0));
-    surfels.chain([S::new(Rgb::ZERO, 1.0), S::default(), S::new(Rgb::ZERO, 1.0)]).collect()
+/// What the surfels send, in the order of an axis, and behind them what [`SKY`], [`UNKNOWN`] and [`BLACK`] do, which is
+/// nothing; the sky's own light is added apart.
+pub fn light<S: Sample>(order: &[u32], radiosity: Vec<Rgb>) -> Vec<S::Light> {
+    let mut light = Vec::with_capacity(order.len() + 3);
+    light.extend(order.iter().map(|&i| S::light(radiosity[i as usize])));
+    light.extend([S::light(Rgb::ZERO); 3]);
+    light
 }
 
 /// Everything that a direction holds fixed.
-pub(super) struct Ray<'a, S> {
+pub(super) struct Ray<'a, S: Sample> {
     pub(super) copy: &'a AxisCopy,
-    pub(super) light: &'a [S],
+    pub(super) light: &'a [S::Light],
     pub(super) lines: &'a Lines,
-    pub(super) sky: Option<S>,
+    pub(super) sky: Option<S::Light>,
     /// The number of surfels: no receiver.
     pub(super) none: u32,
     pub(super) unknown: u32,
@@ -121,31 +125,39 @@ pub(super) struct Stop {
     pub(super) center_height: f32,
 }
 
-/// Adds one direction to the sums.
+/// Adds one direction to the sums, part by part, each when it is its turn.
+///
+/// # Errors
+/// When another direction has failed.
 pub fn sweep<S: Sample>(
     copy: &AxisCopy,
-    light: &[S],
+    light: &[S::Light],
     lines: &Lines,
     sky: Option<Rgb>,
     closed: bool,
     table: &mut Table,
-    sums: &mut [S],
-) {
+    sums: &turns::Direction<S>,
+) -> Result<(), Cancelled> {
     let count = copy.len() as u32;
     let start = Cell { emitter: count + if closed { UNKNOWN } else { SKY }, receiver: count };
-    table.clear(lines.cells, copy.most_cells(), start);
     let ray = Ray {
         copy,
         light,
         lines,
-        sky: sky.map(|sky| S::new(sky, 0.0)),
+        sky: sky.map(S::light),
         none: count,
         unknown: count + UNKNOWN,
         inside: count + if closed { UNKNOWN } else { BLACK },
     };
-    for x in lines.order() {
-        ray.slice(x, table, sums);
+    table.clear(lines.cells as usize, start);
+    for (part, first) in lines.order(copy) {
+        let slice = &lines.slices[copy.parts[part].slice as usize];
+        if first {
+            lines.enter(slice, &mut table.cells, start);
+        }
+        sums.add(part, |sums| ray.part(part, slice, table, sums))?;
     }
+    Ok(())
 }
 
 /// The surfels of one voxel in the order in which the line meets them.
@@ -155,35 +167,41 @@ struct Voxel {
 }
 
 impl<S: Sample> Ray<'_, S> {
-    fn slice(&self, x: usize, table: &mut Table, sums: &mut [S]) {
-        let slice = &self.lines.slices[x];
-        let (contents, next) = (&self.copy.slices[x], &self.copy.slices[x + 1]);
-        let patches = &self.copy.patches[contents.patches as usize..next.patches as usize];
+    /// One part with its sums.
+    fn part(&self, part: usize, slice: &Slice, table: &mut Table, sums: &mut [S]) {
+        let (part, next) = (&self.copy.parts[part], &self.copy.parts[part + 1]);
+        let base = part.start as usize;
+        let patches = &self.copy.patches[part.patches as usize..next.patches as usize];
         for (k, patch) in patches.iter().enumerate() {
-            let end = patches.get(k + 1).map_or(contents.shared, |next| next.start);
+            let end = patches.get(k + 1).map_or(part.shared, |next| next.start);
             let range = patch.start as usize..end as usize;
             if patch.plane == NOWHERE {
-                range.for_each(|i| self.pass(i, self.face(self.copy.planes[i], slice), slice, table, sums));
+                let face = |i: usize| self.face(self.copy.planes[i], slice);
+                range.for_each(|i| self.pass(i, face(i), slice, table, &mut sums[i - base]));
                 continue;
             }
             let face = self.face(patch.plane, slice);
-            for start in range.clone().step_by(CHUNK) {
-                let chunk = start..range.end.min(start + CHUNK);
+            if patch.partial {
+                range.for_each(|i| self.pass(i, face, slice, table, &mut sums[i - base]));
+                continue;
+            }
+            let mut rest = range;
+            while !rest.is_empty() {
+                let keys = self.copy.lone_keys(rest.start..rest.end.min(rest.start + CHUNK));
+                let (count, shift) = self.lines.straight(keys, slice);
+                let chunk = rest.start..rest.start + count;
+                rest.start = chunk.end;
                 if face.along > 0.0 {
-                    match patch.partial {
-                        false => self.emit_all(chunk, face, slice, table),
-                        true => chunk.for_each(|i| self.emit(self.stop(i as u32, slice), face, slice, table)),
-                    }
+                    self.emit_all(chunk, shift, face, slice, table);
                 } else if face.along < 0.0 {
-                    match patch.partial {
-                        false => self.receive_all::<false>(chunk.clone(), face, slice, table),
-                        true => self.receive_all::<true>(chunk.clone(), face, slice, table),
-                    }
-                    self.gather(&table.from, -face.along * self.lines.weight, &mut sums[chunk]);
+                    self.receive_all(chunk.clone(), shift, face, slice, table);
+                    let sums = &mut sums[chunk.start - base..chunk.end - base];
+                    self.gather(&table.from, -face.along * self.lines.weight, sums);
                 }
             }
         }
-        self.shared(contents.shared as usize..next.start as usize, slice, table, sums);
+        let shared = part.shared as usize..next.start as usize;
+        self.shared(shared.clone(), slice, table, &mut sums[shared.start - base..]);
     }
 
     #[inline(always)]
@@ -205,14 +223,14 @@ impl<S: Sample> Ray<'_, S> {
     /// A patch that lines leave. What cannot be told from planes alone is put off: every surfel of a patch has a line
     /// of its own, so that their order does not matter.
     #[inline(never)]
-    fn emit_all(&self, range: Range<usize>, face: Face, slice: &Slice, table: &mut Table) {
+    fn emit_all(&self, range: Range<usize>, shift: u32, face: Face, slice: &Slice, table: &mut Table) {
         let (keys, heights) = self.lone(&range);
         let planes = &self.copy.planes[..];
         let (cells, older, late) = (&mut table.cells[..], &mut table.older[..], &mut table.late);
-        let (first, shift, run, none, unknown) = (range.start as u32, slice.shift, slice.run, self.none, self.unknown);
+        let (first, run, none, unknown) = (range.start as u32, slice.run, self.none, self.unknown);
         let mut put_off = 0;
         for k in 0..keys.len() {
-            let at = (keys[k] + shift) as usize;
+            let at = keys[k].wrapping_add(shift) as usize;
             let cell = &mut cells[at];
             let surfel = first + k as u32;
             if cell.receiver == none && run.has(cell.emitter) {
@@ -238,19 +256,19 @@ impl<S: Sample> Ray<'_, S> {
     /// A patch that lines arrive at. Where the light comes from is found first and the light is fetched afterwards,
     /// many surfels at once: each comes from somewhere else in memory.
     #[inline(never)]
-    fn receive_all<const PARTIAL: bool>(&self, range: Range<usize>, face: Face, slice: &Slice, table: &mut Table) {
+    fn receive_all(&self, range: Range<usize>, shift: u32, face: Face, slice: &Slice, table: &mut Table) {
         let (keys, heights) = self.lone(&range);
         let planes = &self.copy.planes[..];
         let (cells, from, late) = (&mut table.cells[..], &mut table.from[..keys.len()], &mut table.late);
-        let (first, shift, run, thin) = (range.start as u32, slice.shift, slice.run, slice.thin);
+        let (first, run, thin) = (range.start as u32, slice.run, slice.thin);
         let mut put_off = 0;
         for k in 0..keys.len() {
-            let cell = &mut cells[(keys[k] + shift) as usize];
+            let cell = &mut cells[keys[k].wrapping_add(shift) as usize];
             let surfel = first + k as u32;
             let last = cell.receiver & !BLOCKED;
             let plane = planes[last as usize];
             let same = plane == face.plane && run.has(last);
-            if PARTIAL || !same && (plane != NOWHERE || thin.has(cell.emitter)) {
+            if !same && (plane != NOWHERE || thin.has(cell.emitter)) {
                 late[put_off % CHUNK] = surfel;
                 put_off += 1;
                 continue;
@@ -271,18 +289,19 @@ impl<S: Sample> Ray<'_, S> {
     #[inline(always)]
     fn gather(&self, from: &[u32; CHUNK], w: f32, sums: &mut [S]) {
         for (sum, &from) in sums.iter_mut().zip(from) {
-            *sum += self.light[from as usize] * w;
+            let known = if from == self.unknown { 0.0 } else { w };
+            *sum += S::arrived(self.light[from as usize], w, known);
         }
         if let Some(sky) = self.sky {
             let seen = sums.iter_mut().zip(from).filter(|(_, from)| **from == self.copy.len() as u32 + SKY);
-            seen.for_each(|(sum, _)| *sum += sky * w);
+            seen.for_each(|(sum, _)| *sum += S::arrived(sky, w, 0.0));
         }
     }
 
     #[inline(always)]
     fn stop(&self, surfel: u32, slice: &Slice) -> Stop {
         let i = surfel as usize;
-        Stop { surfel, at: self.copy.key(i) + slice.shift, center_height: self.copy.center_heights[i] }
+        Stop { surfel, at: self.lines.cell(self.copy.key(i), slice), center_height: self.copy.center_heights[i] }
     }
 
     /// The voxels of several surfels. What depends on a surfel and the direction alone is worked out first, without a
@@ -299,14 +318,15 @@ impl<S: Sample> Ray<'_, S> {
             if self.copy.shares_voxel(start + i + 1) {
                 let voxel = self.by_depth(start + i, &faces[i..]);
                 for &k in &voxel.surfels[..voxel.len] {
-                    self.pass(start + i + k as usize, faces[i + k as usize].face, slice, table, sums);
+                    let at = i + k as usize;
+                    self.pass(start + at, faces[at].face, slice, table, &mut sums[at]);
                 }
                 i += voxel.len;
             } else {
                 let swap = usize::from(faces[i + 1].is_before(&faces[i]));
                 let (a, b) = (i + swap, i + 1 - swap);
-                self.pass(start + a, faces[a].face, slice, table, sums);
-                self.pass(start + b, faces[b].face, slice, table, sums);
+                self.pass(start + a, faces[a].face, slice, table, &mut sums[a]);
+                self.pass(start + b, faces[b].face, slice, table, &mut sums[b]);
                 i += 2;
             }
         }
@@ -315,7 +335,7 @@ impl<S: Sample> Ray<'_, S> {
 
     #[inline(always)]
     fn depth(&self, i: usize) -> f32 {
-        dot(&self.copy.centroids[i], &self.lines.sigma)
+        dot(&self.copy.centroid(i), &self.lines.sigma)
     }
 
     /// Sorts a voxel of three and more by depth.
@@ -338,13 +358,13 @@ impl<S: Sample> Ray<'_, S> {
     }
 
     #[inline(always)]
-    fn pass(&self, i: usize, face: Face, slice: &Slice, table: &mut Table, sums: &mut [S]) {
+    fn pass(&self, i: usize, face: Face, slice: &Slice, table: &mut Table, sum: &mut S) {
         let stop = self.stop(i as u32, slice);
         if face.along > 0.0 {
             self.emit(stop, face, slice, table);
         } else if face.along < 0.0 {
             table.from[0] = self.receive(stop, face, slice, table);
-            self.gather(&table.from, -face.along * self.lines.weight, &mut sums[i..=i]);
+            self.gather(&table.from, -face.along * self.lines.weight, std::slice::from_mut(sum));
         }
     }
 }

@@ -14,8 +14,8 @@
 //! loses 30–50 % of the light, because a grazing line runs through a row of voxels of one wall and only the first of
 //! them exchanges light with the far side.
 //!
-//! Directions are split into a fixed number of groups with an accumulator each, which are added in fixed order: the
-//! result does not depend on the number of threads.
+//! Threads sweep directions one behind the other (`turns.rs`): the result does not depend on their number, and all add
+//! to one set of sums.
 
 mod axis;
 mod kernel;
@@ -24,6 +24,7 @@ mod literal;
 mod planes;
 mod rule;
 mod sample;
+mod turns;
 
 use std::sync::Arc;
 
@@ -36,10 +37,7 @@ use axis::AxisCopy;
 use lines::Lines;
 use planes::Planes;
 use sample::Sample;
-
-/// Groups that the directions of one dominant axis are split into, at most, and directions per group, at least.
-const GROUPS: usize = 8;
-const PER_GROUP: usize = 4;
+use turns::Turns;
 
 /// Who sees whom on a discrete line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
@@ -85,14 +83,15 @@ impl<'a> Sweep<'a> {
 
     /// The irradiance [lux] at every surfel from the radiosities [lm/m²] of all and from the sky.
     ///
-    /// With `grey` only the first band is computed and copied to the others.
+    /// With `grey` only the first band is computed and copied to the others. The radiosities are taken, because their
+    /// memory is needed.
     ///
     /// # Errors
     /// When the work is cancelled.
     pub fn apply(
         &self,
         directions: &[Direction],
-        radiosity: &[Rgb],
+        radiosity: Vec<Rgb>,
         sky: Option<SkyFn>,
         grey: bool,
         progress: &dyn Progress,
@@ -106,89 +105,78 @@ impl<'a> Sweep<'a> {
     }
 
     /// Sums of radiosity and weight over the three dominant axes, one axis at a time so that only one sorted copy of
-    /// the surfels lives at once.
+    /// the surfels lives at once; light and sums are sorted along.
     fn run<S: Sample, const LITERAL: bool>(
         &self,
         directions: &[Direction],
-        radiosity: &[Rgb],
+        mut radiosity: Vec<Rgb>,
         sky: Option<SkyFn>,
         progress: &dyn Progress,
     ) -> Result<Vec<Rgb>, Cancelled> {
-        let count = self.surfels.list.len();
-        let mut sums = vec![S::default(); count];
-        let mut sorted = vec![S::default(); count];
+        let mut sums = vec![S::default(); radiosity.len()];
         let mut workspaces: Vec<_> = (0..rayon::current_num_threads().max(1)).map(|_| Workspace::default()).collect();
         for axis in 0..3 {
-            let mine: Vec<Direction> =
-                directions.iter().filter(|d| lines::dominant(d.sigma) == axis).copied().collect();
-            if mine.is_empty() || count == 0 {
+            let mine = along(directions, axis, sky);
+            if mine.is_empty() || radiosity.is_empty() {
                 continue;
             }
             let order = &self.orders[axis];
-            let copy = AxisCopy::new(self.surfels, &self.planes, axis, order);
+            let mut sorted = sorted(order, std::mem::take(&mut sums));
             let light = kernel::light::<S>(order, radiosity);
-            let groups: Vec<&[Direction]> = groups(&mine).collect();
-            // Waves as wide as the pool bound the memory; the order of addition is that of the groups in any case.
-            for wave in groups.chunks(workspaces.len()) {
-                wave.par_iter().zip(&mut workspaces).try_for_each(|(group, workspace)| {
-                    self.sweep_group::<S, LITERAL>(&copy, &light, group, sky, workspace, progress)
-                })?;
-                for workspace in &workspaces[..wave.len()] {
-                    sorted.iter_mut().zip(&workspace.sums).for_each(|(sum, part)| *sum += *part);
-                }
-            }
-            for (&i, part) in order.iter().zip(&mut sorted) {
-                sums[i as usize] += std::mem::take(part);
-            }
+            let copy = AxisCopy::new(self.surfels, &self.planes, axis, order);
+            let turns =
+                Turns::new(&mut sorted, copy.parts.windows(2).map(|p| p[0].start as usize..p[1].start as usize));
+            workspaces.par_iter_mut().try_for_each(|workspace| {
+                turns.take(mine.len(), |turn| {
+                    progress.check()?;
+                    let (direction, sky) = mine[turn.number];
+                    let lines = Lines::new(&copy, direction);
+                    if LITERAL {
+                        literal::sweep(&copy, &light, &lines, sky.unwrap_or_default(), &mut workspace.literal, &turn)?;
+                    } else {
+                        kernel::sweep(&copy, &light, &lines, sky, self.closed, &mut workspace.table, &turn)?;
+                    }
+                    progress.advance(copy.len() as u64);
+                    Ok(())
+                })
+            })?;
+            drop(copy);
+            sums = unsorted(order, sorted.iter().copied());
+            drop(sorted);
+            radiosity = unsorted(order, light.iter().map(|&light| S::radiosity(light)));
         }
-        Ok(sums.iter().map(|sum| sum.mean()).collect())
-    }
-
-    /// The sums of a group of directions, left in the workspace.
-    fn sweep_group<S: Sample, const LITERAL: bool>(
-        &self,
-        copy: &AxisCopy,
-        light: &[S],
-        group: &[Direction],
-        sky: Option<SkyFn>,
-        workspace: &mut Workspace<S>,
-        progress: &dyn Progress,
-    ) -> Result<(), Cancelled> {
-        let Workspace { sums, table, literal } = workspace;
-        sums.clear();
-        sums.resize(copy.len(), S::default());
-        for direction in group {
-            progress.check()?;
-            let lines = Lines::new(copy, direction);
-            // Light travels along σ, so the sky is seen against it. L of the sky stands for the radiosity πL.
-            let sky = sky.map(|sky| sky(-direction.sigma) * std::f32::consts::PI);
-            if LITERAL {
-                literal::sweep(copy, light, &lines, sky.unwrap_or_default(), literal, sums);
-            } else {
-                kernel::sweep(copy, light, &lines, sky, self.closed, table, sums);
-            }
-            progress.advance(copy.len() as u64);
-        }
-        Ok(())
+        Ok(sums.into_iter().map(S::mean).collect())
     }
 }
 
-/// A split that depends on the directions alone.
-fn groups(directions: &[Direction]) -> impl Iterator<Item = &[Direction]> {
-    directions.chunks(directions.len().div_ceil(GROUPS).max(PER_GROUP))
+/// The directions that go furthest along an axis, forward ones first, each with the light of the sky that it carries.
+fn along<'d>(directions: &'d [Direction], axis: usize, sky: Option<SkyFn>) -> Vec<(&'d Direction, Option<Rgb>)> {
+    let mine = directions.iter().filter(|d| lines::dominant(d.sigma) == axis);
+    // Light travels along σ, so the sky is seen against it. L of the sky stands for the radiosity πL.
+    let seen = |d: &Direction| sky.map(|sky| sky(-d.sigma) * std::f32::consts::PI);
+    let mut mine: Vec<_> = mine.map(|d| (d, seen(d))).collect();
+    // A direction that starts where the one before it has ended would wait for its end.
+    mine.sort_by_key(|(d, _)| d.sigma[axis] < 0.0);
+    mine
+}
+
+/// What is in the order of the list, in the order of an axis.
+fn sorted<T: Copy>(order: &[u32], list: Vec<T>) -> Vec<T> {
+    order.iter().map(|&i| list[i as usize]).collect()
+}
+
+/// What is in the order of an axis, in the order of the list.
+fn unsorted<T: Copy + Default>(order: &[u32], sorted: impl Iterator<Item = T>) -> Vec<T> {
+    let mut list = vec![T::default(); order.len()];
+    order.iter().zip(sorted).for_each(|(&i, value)| list[i as usize] = value);
+    list
 }
 
 /// What a thread needs to sweep, used again and again.
-struct Workspace<S> {
-    sums: Vec<S>,
+#[derive(Default)]
+struct Workspace {
     table: kernel::Table,
     literal: Vec<u32>,
-}
-
-impl<S> Default for Workspace<S> {
-    fn default() -> Self {
-        Self { sums: Vec::new(), table: kernel::Table::default(), literal: Vec::new() }
-    }
 }
 
 #[cfg(test)]

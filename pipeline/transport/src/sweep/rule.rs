@@ -33,8 +33,8 @@ impl<S: Sample> Ray<'_, S> {
     /// Whether the surfel fills the tube of this line: the same answer for all surfels of a tube with equal fill.
     #[inline(always)]
     fn fills(&self, stop: Stop) -> bool {
-        let fill = self.copy.fill[stop.surfel as usize];
-        fill == u16::MAX || self.number(stop.at) < fill
+        let i = stop.surfel as usize;
+        !self.copy.is_partial(i) || self.number(stop.at) < self.copy.fill(i)
     }
 
     fn number(&self, line: u32) -> u16 {
@@ -69,13 +69,18 @@ impl<S: Sample> Ray<'_, S> {
     #[inline(always)]
     fn goes_on(&self, emitter: u32, surfel: u32, face: Face, slice: &Slice) -> bool {
         slice.run.has(emitter)
-            && (self.copy.planes[emitter as usize] == face.plane || self.is_coplanar(emitter, surfel))
+            && (self.copy.planes[emitter as usize] == face.plane || self.is_coplanar(emitter, surfel, slice))
     }
 
-    fn is_coplanar(&self, emitter: u32, other: u32) -> bool {
-        let (e, i) = (emitter as usize, other as usize);
-        self.copy.height(e, &self.copy.centroids[i]).abs() < PLANE
-            && dot(self.copy.normal(e), self.copy.normal(i)) > COPLANAR
+    /// From the centroid of a surfel that the line has met, at most three slices ago, to that of one that it meets.
+    #[inline(always)]
+    fn way(&self, before: u32, here: u32, slice: &Slice) -> [f32; 3] {
+        self.copy.between(before as usize, here as usize, slice.apart(before, self.lines.forward))
+    }
+
+    fn is_coplanar(&self, emitter: u32, other: u32, slice: &Slice) -> bool {
+        let (e, o) = (self.copy.normal(emitter as usize), self.copy.normal(other as usize));
+        dot(e, &self.way(emitter, other, slice)).abs() < PLANE && dot(e, o) > COPLANAR
     }
 
     /// The line arrives at a surface on its front; returns where its light comes from.
@@ -86,7 +91,7 @@ impl<S: Sample> Ray<'_, S> {
         let cell = &mut table.cells[stop.at as usize];
         let Cell { emitter, receiver } = *cell;
         if receiver == self.none {
-            if slice.thin.has(emitter) && self.is_behind(emitter, stop.surfel) {
+            if slice.thin.has(emitter) && self.is_behind(emitter, stop.surfel, slice) {
                 return self.look_through(stop, face, blocks, slice, &mut table.older[stop.at as usize]);
             }
             cell.receiver = stop.surfel | blocks;
@@ -106,8 +111,8 @@ impl<S: Sample> Ray<'_, S> {
         if slice.thin.has(last) { self.unknown } else { self.inside }
     }
 
-    fn is_behind(&self, emitter: u32, receiver: u32) -> bool {
-        self.copy.height(emitter as usize, &self.copy.centroids[receiver as usize]) <= BEHIND
+    fn is_behind(&self, emitter: u32, receiver: u32, slice: &Slice) -> bool {
+        dot(self.copy.normal(emitter as usize), &self.way(emitter, receiver, slice)) <= BEHIND
     }
 
     /// The receiver lies behind the emitter's plane: a thin wall or a convex edge, of which it is the near side. It
@@ -122,11 +127,12 @@ impl<S: Sample> Ray<'_, S> {
     /// Two receivers of a line belong to one surface, or to surfaces that touch without hiding each other.
     #[inline(always)]
     fn shares(&self, last: u32, next: u32, face: Face, slice: &Slice) -> bool {
-        slice.run.has(last) && (self.copy.planes[last as usize] == face.plane || !self.is_layered(last, next))
+        slice.run.has(last) && (self.copy.planes[last as usize] == face.plane || !self.is_layered(last, next, slice))
     }
 
-    fn is_layered(&self, last: u32, next: u32) -> bool {
-        let (l, i) = (last as usize, next as usize);
-        self.copy.height(l, &self.copy.centroids[i]) < -PLANE && self.copy.height(i, &self.copy.centroids[l]) > PLANE
+    fn is_layered(&self, last: u32, next: u32, slice: &Slice) -> bool {
+        let way = self.way(last, next, slice);
+        let (l, n) = (self.copy.normal(last as usize), self.copy.normal(next as usize));
+        dot(l, &way) < -PLANE && dot(n, &way) < -PLANE
     }
 }

@@ -1,14 +1,24 @@
-//! What a line carries and a surfel gathers: radiosity and the weight of what is known.
+//! What a surfel sends along lines and what it gathers from them.
 
-use std::ops::{AddAssign, Mul};
+use std::ops::AddAssign;
 
 use glam::{Vec2, Vec4};
 
 use crate::Rgb;
 
-/// A radiosity [lm/m²] of one or three bands with its weight behind it; sums of them are sums of both.
-pub trait Sample: Copy + Default + Send + Sync + AddAssign + Mul<f32, Output = Self> {
-    fn new(radiosity: Rgb, weight: f32) -> Self;
+/// Radiosity [lm/m²] of one or three bands times weight, with the weight of what is known behind it; sums of them are
+/// sums of both.
+pub trait Sample: Copy + Default + Send + Sync + AddAssign {
+    /// The radiosity that a surfel sends, without a weight.
+    type Light: Copy + Default + Send + Sync;
+
+    fn light(radiosity: Rgb) -> Self::Light;
+
+    fn radiosity(light: Self::Light) -> Rgb;
+
+    /// Light that arrives with a weight; `known` is that weight again, or nothing where the light is added to what has
+    /// been counted or is unknown.
+    fn arrived(light: Self::Light, weight: f32, known: f32) -> Self;
 
     /// Radiosity over weight; nothing where nothing is known.
     fn mean(self) -> Rgb;
@@ -16,8 +26,19 @@ pub trait Sample: Copy + Default + Send + Sync + AddAssign + Mul<f32, Output = S
 
 /// Three bands.
 impl Sample for Vec4 {
-    fn new(radiosity: Rgb, weight: f32) -> Self {
-        radiosity.extend(weight)
+    type Light = [f32; 3];
+
+    fn light(radiosity: Rgb) -> [f32; 3] {
+        radiosity.to_array()
+    }
+
+    fn radiosity(light: [f32; 3]) -> Rgb {
+        light.into()
+    }
+
+    #[inline(always)]
+    fn arrived([r, g, b]: [f32; 3], weight: f32, known: f32) -> Self {
+        Vec4::new(r * weight, g * weight, b * weight, known)
     }
 
     fn mean(self) -> Rgb {
@@ -27,8 +48,19 @@ impl Sample for Vec4 {
 
 /// One band, for light without colour.
 impl Sample for Vec2 {
-    fn new(radiosity: Rgb, weight: f32) -> Self {
-        Vec2::new(radiosity.x, weight)
+    type Light = f32;
+
+    fn light(radiosity: Rgb) -> f32 {
+        radiosity.x
+    }
+
+    fn radiosity(light: f32) -> Rgb {
+        Rgb::splat(light)
+    }
+
+    #[inline(always)]
+    fn arrived(light: f32, weight: f32, known: f32) -> Self {
+        Vec2::new(light * weight, known)
     }
 
     fn mean(self) -> Rgb {

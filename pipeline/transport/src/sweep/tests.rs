@@ -39,7 +39,7 @@ fn rows(scene: &Scene, n: u32, count: u32, rule: Rule, closed: bool) -> (f64, f3
     let sweep = Sweep::new(&surfels, rule, closed);
     let ones = vec![Rgb::ONE; surfels.list.len()];
     let directions = DirectionSet::Fibonacci.directions(count, 0);
-    let rows = sweep.apply(&directions, &ones, None, true, &Silent).unwrap();
+    let rows = sweep.apply(&directions, ones.clone(), None, true, &Silent).unwrap();
     let sum: f64 = surfels.list.iter().zip(&rows).map(|(s, r)| f64::from(s.area * r.x)).sum();
     // No row above 1, so the spectral radius of ρT is at most the largest albedo and bounces cannot diverge.
     assert!(rows.iter().all(|r| r.x <= 1.0 + 1e-5), "a row gains light");
@@ -50,7 +50,7 @@ fn rows(scene: &Scene, n: u32, count: u32, rule: Rule, closed: bool) -> (f64, f3
 fn a_furnace_keeps_its_light() {
     let straight = room_with_block(Vec3::ONE);
     let turned = tilted(straight.clone());
-    for (scene, n, least) in [(&straight, 48, 0.999), (&turned, 64, 0.999)] {
+    for (scene, n, least) in [(&straight, 48, 0.999), (&turned, 80, 0.999)] {
         let (mean, min) = rows(scene, n, 256, Rule::Surface, false);
         println!("n {n}: mean row {mean:.5}, least {min:.3}");
         assert!(mean > least && mean <= 1.0 + 1e-6, "{mean}");
@@ -66,7 +66,7 @@ fn a_furnace_that_is_closed_keeps_it_to_rounding() {
         let sweep = Sweep::new(&surfels, Rule::Surface, true);
         let ones = vec![Rgb::ONE; surfels.list.len()];
         let directions = DirectionSet::Fibonacci.directions(128, 0);
-        let rows = sweep.apply(&directions, &ones, None, true, &Silent).unwrap();
+        let rows = sweep.apply(&directions, ones.clone(), None, true, &Silent).unwrap();
         let (mut off, mut all) = (0.0, 0.0);
         for (s, r) in surfels.list.iter().zip(&rows) {
             all += s.area;
@@ -99,7 +99,7 @@ fn a_constant_sky_lights_an_open_plane_with_pi_l() {
             let dark = vec![Rgb::ZERO; surfels.list.len()];
             let l = Rgb::new(1.0, 2.0, 3.0);
             let directions = DirectionSet::Fibonacci.directions(64, 0);
-            let e = sweep.apply(&directions, &dark, Some(&|_| l), false, &Silent).unwrap();
+            let e = sweep.apply(&directions, dark, Some(&|_| l), false, &Silent).unwrap();
             for e in e {
                 assert!((e / (l * std::f32::consts::PI) - 1.0).abs().max_element() < 1e-5, "{e}");
             }
@@ -120,7 +120,7 @@ fn the_sky_is_seen_where_it_is() {
     let directions = DirectionSet::Fibonacci.directions(1024, 0);
     // L = 3 y above the horizon has E = 3 ∫ cos² = 2π on a floor.
     let sky = |d: Vec3| Rgb::splat(3.0 * d.y.max(0.0));
-    let e = sweep.apply(&directions, &dark, Some(&sky), true, &Silent).unwrap();
+    let e = sweep.apply(&directions, dark, Some(&sky), true, &Silent).unwrap();
     assert!(e.iter().all(|e| (e.x / (2.0 * std::f32::consts::PI) - 1.0).abs() < 5e-3), "{}", e[0]);
 }
 
@@ -138,8 +138,8 @@ fn a_single_sided_wall_blocks_from_behind_and_is_black() {
     let sweep = Sweep::new(&surfels, Rule::Surface, false);
     let ones = vec![Rgb::ONE; surfels.list.len()];
     let directions = DirectionSet::Fibonacci.directions(256, 0);
-    let e = sweep.apply(&directions, &ones, None, true, &Silent).unwrap();
-    let sky = sweep.apply(&directions, &vec![Rgb::ZERO; ones.len()], Some(&|_| Rgb::ONE), true, &Silent).unwrap();
+    let e = sweep.apply(&directions, ones.clone(), None, true, &Silent).unwrap();
+    let sky = sweep.apply(&directions, vec![Rgb::ZERO; ones.len()], Some(&|_| Rgb::ONE), true, &Silent).unwrap();
     for (i, s) in surfels.list.iter().enumerate() {
         let world = geometry.frame.world(s.centroid);
         let middle = world.x.abs() < 1.0 && world.z.abs() < 1.0;
@@ -182,7 +182,7 @@ fn one_bounce(scene: &Scene, n: u32) -> (f64, f64) {
     let radiosity: Vec<Rgb> = (0..surfels.list.len()).map(|i| Rgb::splat(light(i))).collect();
     let sweep = Sweep::new(&surfels, Rule::Surface, false);
     let directions = DirectionSet::Fibonacci.directions(512, 0);
-    let e = sweep.apply(&directions, &radiosity, None, true, &Silent).unwrap();
+    let e = sweep.apply(&directions, radiosity, None, true, &Silent).unwrap();
     let (mut bias, mut error, mut total) = (0.0, 0.0, 0.0);
     for i in (0..surfels.list.len()).step_by(17) {
         let exact = by_rays(&rays, &surfels, i, &light, 256);
@@ -222,15 +222,15 @@ fn threads_do_not_change_a_bit() {
     let directions = DirectionSet::Fibonacci.directions(256, 1);
     let run = |threads| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        pool.install(|| sweep.apply(&directions, &light, Some(&|d| d.abs()), false, &Silent).unwrap())
+        pool.install(|| sweep.apply(&directions, light.clone(), Some(&|d| d.abs()), false, &Silent).unwrap())
     };
     let one = run(1);
     assert_eq!(one, run(2));
     assert_eq!(one, run(7));
     // And one band is the first of three.
     let grey: Vec<Rgb> = light.iter().map(|l| Rgb::splat(l.x)).collect();
-    let three = sweep.apply(&directions, &grey, None, false, &Silent).unwrap();
-    assert_eq!(three, sweep.apply(&directions, &grey, None, true, &Silent).unwrap());
+    let three = sweep.apply(&directions, grey.clone(), None, false, &Silent).unwrap();
+    assert_eq!(three, sweep.apply(&directions, grey, None, true, &Silent).unwrap());
 }
 
 #[test]
@@ -249,7 +249,8 @@ fn orders_go_slice_by_slice_and_keep_voxels_together() {
         runs.dedup();
         assert_eq!(runs.len(), count, "a voxel is in two places");
         let copy = AxisCopy::new(&surfels, &planes, axis, &order);
-        let lone = copy.slices.windows(2).map(|s| s[0].shared - s[0].start).sum::<u32>() as usize;
+        let lone = copy.parts.windows(2).map(|p| p[0].shared - p[0].start).sum::<u32>() as usize;
+        assert!(copy.parts.windows(2).all(|p| p[0].shared >= p[0].start && p[0].shared <= p[1].start));
         assert!(lone > surfels.list.len() / 2, "{lone} of {}", surfels.list.len());
         assert!(copy.patches.len() < lone / 3, "{} patches of {lone} surfels", copy.patches.len());
     }
@@ -270,7 +271,7 @@ fn a_lamp_smaller_than_a_voxel_hides_its_share_and_no_more() {
     let sweep = Sweep::new(&surfels, Rule::Surface, false);
     let dark = vec![Rgb::ZERO; surfels.list.len()];
     let directions = DirectionSet::Fibonacci.directions(512, 0);
-    let e = sweep.apply(&directions, &dark, Some(&|_| Rgb::ONE), true, &Silent).unwrap();
+    let e = sweep.apply(&directions, dark, Some(&|_| Rgb::ONE), true, &Silent).unwrap();
     let hidden: f64 = surfels
         .list
         .iter()
