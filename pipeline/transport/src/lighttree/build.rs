@@ -9,7 +9,7 @@
 
 use glam::Vec3;
 
-use super::{Light, LightTree, Lights, Node, VARIANTS, left_count, stored_count, weight};
+use super::{Cluster, Light, LightTree, Lights, Node, VARIANTS, WIDE, left_count, stored_count, weight, wide_count};
 use crate::{
     Rgb,
     sampling::{combine, mix, unit},
@@ -71,7 +71,26 @@ pub(super) fn build(lights: Lights, ambient: f32) -> LightTree {
     builder.split(&mut items, &mut nodes, &mut choices);
     // The memory of the items is used again, a half of it given back.
     let order: Vec<u32> = items.into_iter().map(|i| i.id).collect();
-    LightTree { lights, order, nodes, choices, ambient }
+    let mut tree = LightTree { lights, order, nodes, choices, chosen: Vec::new(), ambient };
+    tree.chosen = chosen(&tree);
+    tree
+}
+
+/// The representatives of all wide nodes, in their order.
+fn chosen(tree: &LightTree) -> Vec<[u32; VARIANTS]> {
+    let mut chosen = Vec::with_capacity(wide_count(tree.len()));
+    let mut open: Vec<Cluster> = tree.root().into_iter().collect();
+    while let Some(cluster) = open.pop() {
+        match cluster {
+            Cluster::Node(branch) if branch.count as usize > WIDE => {
+                chosen.push(std::array::from_fn(|variant| tree.follow(branch, variant)));
+                let [left, right] = tree.children(branch);
+                open.extend([right, left]);
+            }
+            _ => {}
+        }
+    }
+    chosen
 }
 
 const EMPTY: Node = Node {
@@ -254,7 +273,7 @@ fn bounds(points: impl Iterator<Item = Vec3>) -> (Vec3, Vec3) {
 mod tests {
     use super::*;
     use crate::{
-        lighttree::{Branch, Cluster, Seeded},
+        lighttree::{Branch, Seeded},
         sampling::{sphere, unit2},
     };
 
@@ -280,6 +299,9 @@ mod tests {
             let stored = branches.iter().filter(|b| tree.below(**b).count() > 2);
             assert!(stored.clone().zip(0u32..).all(|(branch, slot)| branch.slot == slot));
             assert_eq!(stored.count(), tree.nodes.len());
+            let wide = branches.iter().filter(|b| tree.below(**b).count() > WIDE);
+            assert!(wide.clone().zip(0u32..).all(|(branch, number)| branch.wide == number));
+            assert_eq!(wide.count(), tree.chosen.len());
             branches.into_iter().for_each(|branch| contains_its_lights(&tree, branch));
         }
     }
@@ -289,6 +311,7 @@ mod tests {
         let lights: Vec<(u32, Light)> = tree.below(branch).collect();
         for v in 0..VARIANTS {
             let chosen = tree.representative(branch, v);
+            assert_eq!(chosen, tree.follow(branch, v));
             assert!(branch.holds(chosen) && lights.iter().any(|(place, _)| *place == chosen));
             // A node's representative stands for the half that it comes from.
             for child in tree.children(branch) {

@@ -24,9 +24,9 @@
 
 //!
 //! **Memory.** A tree over surfels has as many clusters as surfels, so it keeps little of each: lights are made from their
-//! surfels when they are looked at, a node of two lights is made from them, and who represents a node is one bit a
-//! variant, *left* or *right*, to be followed down to a light. What remains is 80 bytes for every node of more lights (a
-//! half to two thirds of their number) and 5 for every light.
+//! surfels when they are looked at, a node of two lights is made from them, and who represents a small node is one bit a
+//! variant, *left* or *right*, to be followed down to a light. What remains is 80 bytes for every node of more than two
+//! lights (a half to two thirds of their number), 32 for every node of more than sixteen, and 5 for every light.
 
 mod bound;
 mod build;
@@ -74,6 +74,8 @@ pub struct Branch {
     count: u32,
     /// Number among the nodes that are stored.
     slot: u32,
+    /// Number among those that name their representatives.
+    wide: u32,
 }
 
 impl Branch {
@@ -101,6 +103,8 @@ pub struct LightTree<'a> {
     nodes: Vec<Node>,
     /// For every inner node the variants (bits) whose representative is in its right half.
     choices: Vec<u8>,
+    /// The representatives of nodes of more than [`WIDE`] lights, in every variant.
+    chosen: Vec<[u32; VARIANTS]>,
     /// The ambient radiosity β.
     ambient: f32,
 }
@@ -134,20 +138,31 @@ impl<'a> LightTree<'a> {
         match self.order.len() as u32 {
             0 => None,
             1 => Some(Cluster::Light(0)),
-            count => Some(Cluster::Node(Branch { id: 0, first: 0, count, slot: 0 })),
+            count => Some(Cluster::Node(Branch { id: 0, first: 0, count, slot: 0, wide: 0 })),
         }
     }
 
     /// The two halves of an inner node.
     #[inline]
-    pub fn children(&self, Branch { id, first, count, slot }: Branch) -> [Cluster; 2] {
+    pub fn children(&self, parent: Branch) -> [Cluster; 2] {
+        let Branch { id, first, count, slot, wide } = parent;
         let left = left_count(count as usize) as u32;
-        let part = |id: u32, first: u32, count: u32, slot: u32| match count {
-            1 => Cluster::Light(first),
-            _ => Cluster::Node(Branch { id, first, count, slot }),
+        let part = |branch: Branch| match branch.count {
+            1 => Cluster::Light(branch.first),
+            _ => Cluster::Node(branch),
         };
-        let right_slot = slot + 1 + stored_count(left as usize) as u32;
-        [part(id + 1, first, left, slot + 1), part(id + left, first + left, count - left, right_slot)]
+        // A node that has no number of its own has none below it either.
+        let after = |number: u32, below: usize| number + 1 + below as u32;
+        [
+            part(Branch { id: id + 1, first, count: left, slot: slot + 1, wide: wide + 1 }),
+            part(Branch {
+                id: id + left,
+                first: first + left,
+                count: count - left,
+                slot: after(slot, stored_count(left as usize)),
+                wide: after(wide, wide_count(left as usize)),
+            }),
+        ]
     }
 
     /// The light at a place of the tree.
@@ -173,6 +188,15 @@ impl<'a> LightTree<'a> {
     /// The light that stands for a node in a variant of the tree.
     #[inline]
     pub fn representative(&self, branch: Branch, variant: usize) -> u32 {
+        match branch.count as usize {
+            0..=WIDE => self.follow(branch, variant),
+            _ => self.chosen[branch.wide as usize][variant],
+        }
+    }
+
+    /// The same by the choices of all nodes on the way down.
+    #[inline]
+    fn follow(&self, branch: Branch, variant: usize) -> u32 {
         let Branch { mut id, mut first, mut count, .. } = branch;
         while count > 1 {
             let left = left_count(count as usize) as u32;
@@ -202,6 +226,9 @@ impl<'a> LightTree<'a> {
 /// Number of variants of a tree.
 pub const VARIANTS: usize = 8;
 
+/// Most lights of a node whose representatives are found by following the choices: they lie side by side.
+const WIDE: usize = 16;
+
 /// Mixed into a receiver's seed, so that its variant has nothing to do with its rays.
 const VARIANT: u64 = 0x7a31;
 
@@ -219,14 +246,28 @@ fn left_count(count: usize) -> usize {
     count / 2
 }
 
-/// Number of nodes of more than two lights in a tree over `count` lights: all but the nodes of two. Halving 2ᵏ to 2ᵏ⁺¹
-/// lights k − 1 times leaves parts of two to four, of which those of four hold two such nodes and the others one.
-fn stored_count(count: usize) -> usize {
-    if count < 3 {
+/// Number of nodes of more than `least` lights in a tree over `count`. The l-th halving leaves 2ˡ parts of ⌊count/2ˡ⌋
+/// lights or one more: all of them count as long as the smaller ones do, then those that have one more than `least`.
+#[inline]
+fn larger_nodes(count: usize, least: usize) -> usize {
+    if count <= least {
         return 0;
     }
-    let k = count.ilog2();
-    count - 1 - (1 << (k - 1)).max(count - (1 << k))
+    let levels = (count / (least + 1)).ilog2() + 1;
+    let last = if count >> levels == least { count - (least << levels) } else { 0 };
+    (1 << levels) - 1 + last
+}
+
+/// Number of nodes that are stored.
+#[inline]
+fn stored_count(count: usize) -> usize {
+    larger_nodes(count, 2)
+}
+
+/// Number of nodes that name their representatives.
+#[inline]
+fn wide_count(count: usize) -> usize {
+    larger_nodes(count, WIDE)
 }
 
 #[cfg(test)]

@@ -121,14 +121,13 @@ impl<'a> Octree<'a> {
         let normal = |i: &u32| self.surfels.list[*i as usize].normal;
         let cosine = unit.map_or(-1.0, |a| mine.iter().fold(1.0f32, |m, i| m.min(a.dot(normal(i)))));
         // Of two zeros either may be the least, as the compiler likes: a sum with zero has no sign.
-        let unsigned = |corner: Vec3| (corner + Vec3::ZERO).to_array();
         Node {
-            lo: unsigned(lo),
-            hi: unsigned(hi),
+            lo: (lo + Vec3::ZERO).to_array(),
+            hi: (hi + Vec3::ZERO).to_array(),
             power: power.as_vec3().to_array(),
             area: area as f32,
             axis: unit.unwrap_or(Vec3::Z).to_array(),
-            cosine: cosine.max(-1.0),
+            cosine: cosine.max(-1.0) + 0.0,
             first: span.first,
             count: span.count,
             child: span.child,

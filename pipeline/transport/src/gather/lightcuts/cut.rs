@@ -41,11 +41,9 @@ impl Source<'_> {
     }
 }
 
-/// An inner node in the cut.
+/// An inner node.
 #[derive(Clone, Copy)]
 struct Member {
-    bound: f32,
-    source: u8,
     branch: Branch,
     /// Its representative.
     light: u32,
@@ -61,31 +59,43 @@ impl Member {
     }
 }
 
-impl Ord for Member {
+/// An inner node in the cut as the heap moves it about.
+#[derive(Clone, Copy)]
+struct Entry {
+    bound: f32,
+    source: u8,
+    node: u32,
+    /// Number of the member.
+    member: u32,
+}
+
+impl Ord for Entry {
     fn cmp(&self, other: &Self) -> Ordering {
         // Equal bounds are told apart by the tree's order, so that a heap's own order never decides.
-        self.bound.total_cmp(&other.bound).then((other.source, other.branch.id).cmp(&(self.source, self.branch.id)))
+        self.bound.total_cmp(&other.bound).then((other.source, other.node).cmp(&(self.source, self.node)))
     }
 }
 
-impl PartialOrd for Member {
+impl PartialOrd for Entry {
     fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
         Some(self.cmp(other))
     }
 }
 
-impl PartialEq for Member {
+impl PartialEq for Entry {
     fn eq(&self, other: &Self) -> bool {
         self.cmp(other) == Ordering::Equal
     }
 }
 
-impl Eq for Member {}
+impl Eq for Entry {}
 
 /// The cut, with memory that is used again for the next receiver.
 #[derive(Default)]
 pub(super) struct Cut {
-    heap: BinaryHeap<Member>,
+    heap: BinaryHeap<Entry>,
+    /// All that were ever in the cut.
+    members: Vec<Member>,
     /// Single lights in the cut that are not evaluated yet.
     lights: Vec<(u8, u32)>,
 }
@@ -122,6 +132,7 @@ impl Cut {
         settings: &Settings,
     ) -> Found {
         self.heap.clear();
+        self.members.clear();
         self.lights.clear();
         let mut search = Search { sources, tracer, origin, total: offset.as_dvec3(), rays: 0, lights: 0 };
         for (source, Source { tree, .. }) in (0..).zip(sources) {
@@ -141,8 +152,17 @@ impl Cut {
     fn push(&mut self, search: &Search, source: u8, cluster: Cluster, known: Option<u32>) {
         match cluster {
             Cluster::Light(light) => self.lights.push((source, light)),
-            Cluster::Node(branch) => self.heap.extend(search.member(source, branch, known)),
+            Cluster::Node(branch) => {
+                if let Some((bound, member)) = search.member(source, branch, known) {
+                    self.keep(bound, source, member);
+                }
+            }
         }
+    }
+
+    fn keep(&mut self, bound: f32, source: u8, member: Member) {
+        self.heap.push(Entry { bound, source, node: member.branch.id, member: self.members.len() as u32 });
+        self.members.push(member);
     }
 
     /// Refines what is too coarse for the expected total, without evaluating anything. Half of the limit is left for
@@ -158,8 +178,9 @@ impl Cut {
                 _ => return,
             }
             let Some(top) = self.heap.pop() else { return };
-            for child in search.sources[usize::from(top.source)].tree.children(top.branch) {
-                self.push(search, top.source, child, Some(top.light));
+            let Member { branch, light, .. } = self.members[top.member as usize];
+            for child in search.sources[usize::from(top.source)].tree.children(branch) {
+                self.push(search, top.source, child, Some(light));
             }
         }
     }
@@ -169,14 +190,15 @@ impl Cut {
         for &(source, light) in &self.lights {
             search.add_light(source, light, None);
         }
-        let mut members = std::mem::take(&mut self.heap).into_vec();
+        let mut entries = std::mem::take(&mut self.heap).into_vec();
         // In the tree's order, so that the sum does not depend on how the heap is laid out.
-        members.sort_unstable_by_key(|m| (m.source, m.branch.id));
-        for member in &mut members {
-            member.weight = search.weight(member.source, member.light);
+        entries.sort_unstable_by_key(|e| (e.source, e.node));
+        for entry in &entries {
+            let member = &mut self.members[entry.member as usize];
+            member.weight = search.weight(entry.source, member.light);
             search.total += member.contribution();
         }
-        self.heap = members.into();
+        self.heap = entries.into();
     }
 
     /// Refines by the running total.
@@ -188,20 +210,23 @@ impl Cut {
                 _ => return,
             }
             let Some(top) = self.heap.pop() else { return };
-            search.total -= top.contribution();
-            for child in search.sources[usize::from(top.source)].tree.children(top.branch) {
+            let parent = self.members[top.member as usize];
+            search.total -= parent.contribution();
+            for child in search.sources[usize::from(top.source)].tree.children(parent.branch) {
                 match child {
                     Cluster::Light(light) => {
-                        search.add_light(top.source, light, (light == top.light).then_some(top.weight));
+                        search.add_light(top.source, light, (light == parent.light).then_some(parent.weight));
                     }
                     Cluster::Node(branch) => {
-                        let Some(mut member) = search.member(top.source, branch, Some(top.light)) else { continue };
+                        let Some((bound, mut member)) = search.member(top.source, branch, Some(parent.light)) else {
+                            continue;
+                        };
                         member.weight = match member.light {
-                            light if light == top.light => top.weight,
+                            light if light == parent.light => parent.weight,
                             light => search.weight(top.source, light),
                         };
                         search.total += member.contribution();
-                        self.heap.push(member);
+                        self.keep(bound, top.source, member);
                     }
                 }
             }
@@ -210,15 +235,15 @@ impl Cut {
 }
 
 impl Search<'_> {
-    /// A node that is not evaluated, with the largest error that it can bring in any band; none that can bring none.
-    fn member(&self, source: u8, branch: Branch, known: Option<u32>) -> Option<Member> {
+    /// The largest error that a node can bring in any band, and the node, not evaluated; none that can bring none.
+    fn member(&self, source: u8, branch: Branch, known: Option<u32>) -> Option<(f32, Member)> {
         let from = &self.sources[usize::from(source)];
         let node = from.tree.node(branch);
         let light = from.representative(branch, known);
         let power = from.stand_in(&node, light);
         let deviation = deviation(&node, from.control, power);
         let bound = if deviation > 0.0 { deviation * from.vantage.bound(&node) } else { 0.0 };
-        (bound > 0.0).then_some(Member { bound, source, branch, light, power, weight: Rgb::ZERO })
+        (bound > 0.0).then_some((bound, Member { branch, light, power, weight: Rgb::ZERO }))
     }
 
     /// K·V of a light.
