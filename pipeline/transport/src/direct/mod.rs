@@ -37,8 +37,8 @@ use target::Pattern;
 use tiles::{Tile, Tiles};
 use visibility::{Between, Sight};
 
-/// Receivers that share a tree of tiles.
-const CHUNK: usize = 2048;
+/// Receivers that share a tree of tiles. Batches of whole chunks give the very bits of all receivers at once.
+pub(crate) const CHUNK: usize = 2048;
 
 /// How visibility is found out.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
