@@ -9,7 +9,7 @@ use std::panic::AssertUnwindSafe;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender};
+use std::sync::mpsc::{Receiver, Sender};
 use std::thread::Scope;
 use std::time::{Duration, Instant};
 
@@ -117,38 +117,43 @@ impl Course<'_, '_, '_> {
 
     fn go(&mut self, receiver: &Receiver<Message>) {
         loop {
-            match receiver.recv_timeout(self.pause()) {
-                Ok(message) => self.take(message),
-                // This course holds a sender itself.
-                Err(RecvTimeoutError::Timeout | RecvTimeoutError::Disconnected) => {}
+            match &self.running {
+                _ if !self.stopping => self.work(),
+                Some(running) => running.cancelled.store(true, Ordering::Relaxed),
+                None => return,
+            }
+            // This course holds a sender itself, so nothing but time can run out.
+            if let Ok(message) = receiver.recv_timeout(self.pause()) {
+                self.take(message);
             }
             while let Ok(message) = receiver.try_recv() {
                 self.take(message);
             }
-            if self.stopping {
-                match &self.running {
-                    Some(running) => running.cancelled.store(true, Ordering::Relaxed),
-                    None => return,
-                }
-                continue;
-            }
-            self.overtake();
-            if self.now() >= self.beat {
-                self.folders.lost().into_iter().for_each(|hint| self.batch.add(self.start.elapsed(), hint));
-                self.beat = self.now() + BEAT;
-            }
-            if let Some(hints) = self.batch.take(self.now()) {
-                self.attend(&hints);
-            }
-            self.tell_faults();
-            if self.running.is_none() && self.batch.is_empty() {
-                self.next();
-            }
+        }
+    }
+
+    /// Does everything that can be done now.
+    fn work(&mut self) {
+        self.overtake();
+        if self.now() >= self.beat {
+            let now = self.now();
+            self.folders.lost().into_iter().for_each(|hint| self.batch.add(now, hint));
+            self.beat = now + BEAT;
+        }
+        if let Some(hints) = self.batch.take(self.now()) {
+            self.attend(&hints);
+        }
+        self.tell_faults();
+        if self.batch.is_empty() {
+            while self.running.is_none() && self.next() {}
         }
     }
 
     /// How long nothing has to be done if nobody says anything.
     fn pause(&self) -> Duration {
+        if self.stopping {
+            return BEAT;
+        }
         // Errors wait until the burst is over.
         let untold = self.untold.values().min().copied().filter(|_| self.batch.is_empty());
         let due = [untold, self.batch.due()].into_iter().flatten().fold(self.beat, Duration::min);
@@ -185,8 +190,12 @@ impl Course<'_, '_, '_> {
 
     /// A burst is over: looks at what it hinted at.
     fn attend(&mut self, hints: &Hints) {
-        let voice = &mut self.voice;
-        self.book.attend(&hints.paths, hints.everywhere, &mut |event| voice.say(event));
+        let (voice, untold) = (&mut self.voice, &mut self.untold);
+        self.book.attend(&hints.paths, hints.everywhere, &mut |event| match &event {
+            // What was not said need not be taken back.
+            Event::Current { scene } if untold.remove(scene).is_some() => {}
+            _ => voice.say(event),
+        });
         self.arm(hints);
         if let Some(running) = &mut self.running
             && self.book.item(&running.scene).is_none_or(|item| item.look != running.look)
@@ -217,25 +226,30 @@ impl Course<'_, '_, '_> {
         self.batch.add(self.now(), Hint::Everywhere);
     }
 
-    /// Begins the next bake, or says that there is none.
-    fn next(&mut self) {
-        let Some(scene) = self.book.next().map(PathBuf::from) else {
+    /// Takes up the next scene, or says that there is none and returns false.
+    fn next(&mut self) -> bool {
+        let next = self.book.next().and_then(|scene| Some((scene.to_path_buf(), self.book.item(scene)?.look.clone())));
+        let Some((scene, look)) = next else {
             if self.untold.is_empty() && !self.voice.is_idle {
                 self.voice.say(Event::Idle { scenes: self.book.scenes(), failed: self.book.failed() });
                 self.voice.is_idle = true;
             }
-            return;
+            return false;
         };
-        let Some(look) = self.book.item(&scene).map(|item| item.look.clone()) else { return };
-        let (settings, outputs) = match (&look.settings, &look.outputs) {
-            (Ok(settings), Ok(outputs)) => (settings.clone(), outputs.clone()),
-            (Err(fault), _) | (_, Err(fault)) => {
-                let fault = fault.clone();
-                return self.failed(scene, look, fault);
+        match (look.settings.clone(), look.outputs.clone()) {
+            (Ok(settings), Ok(outputs)) => {
+                let request = Request { scene, outputs, settings, worker: self.worker.clone() };
+                self.bake(request, look);
             }
-        };
+            (Err(fault), _) | (_, Err(fault)) => self.failed(scene, look, fault),
+        }
+        true
+    }
+
+    /// Begins a bake of a scene as the look saw it.
+    fn bake(&mut self, request: Request, look: Look) {
+        let scene = request.scene.clone();
         self.voice.say(Event::Baking { scene: scene.clone() });
-        let request = Request { scene: scene.clone(), outputs, settings, worker: self.worker.clone() };
         let cancelled = Arc::new(AtomicBool::new(false));
         let (baker, sender, flag) = (self.baker, self.sender.clone(), cancelled.clone());
         self.running = Some(Running { scene, look, cancelled, overtaken: false, hinted: Vec::new() });
