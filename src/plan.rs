@@ -361,14 +361,15 @@ fn decide(stage: Stage, facts: &Facts, settings: &Settings) -> Result<String, St
 const RAY_TRIANGLE: u64 = 410;
 /// Per surfel: the surfel and its light while it is propagated.
 const SURFEL: u64 = 235;
-/// Per texel: where it is, and its light.
-const TEXEL: u64 = 61;
-/// Per pixel of a page: the finished images and what the encoders hold.
-const PIXEL: u64 = 42;
+/// Per texel: where it is and its light, beside which its pages are made. While light is found its parts are still apart;
+/// then there are no pages yet, and together they are less than this and [`PIXEL`].
+const TEXEL: u64 = 38;
+/// Per pixel of a page: what is beside the texels while it is finished.
+const PIXEL: u64 = 14;
 /// Times that the bytes of the scene's files exist when they are written again: as read, laid out, and as a .glb.
 const COPIES: u64 = 3;
 /// The picture and what else does not grow with the scene.
-const FIXED: u64 = 12 << 20;
+const FIXED: u64 = 16 << 20;
 
 /// Figures beyond all measure saturate: what asks for that much is refused by its stage, not by the estimate.
 fn memory(facts: &Facts, scene: &Scene, settings: &Settings, runs: &dyn Fn(Stage) -> bool) -> Memory {
