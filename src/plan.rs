@@ -183,7 +183,7 @@ impl Plan {
         let pages = (self.facts.receivers as u64).min(AtlasSettings::default().max_pages.into());
         let pixels = pages.saturating_mul(side * side);
         Memory {
-            texels: self.memory.texels.min(texel_bytes(pixels)),
+            texels: self.memory.texels.min(texel_bytes(pixels, settings, &|stage| self.runs(stage))),
             images: self.memory.images.min(image_bytes(pixels)),
             ..self.memory
         }
@@ -364,6 +364,11 @@ const SURFEL: u64 = 235;
 /// Per texel: where it is and its light, beside which its pages are made. While light is found its parts are still apart;
 /// then there are no pages yet, and together they are less than this and [`PIXEL`].
 const TEXEL: u64 = 38;
+/// Per texel where light is interpolated between nodes, chart by chart: what a chart holds beside, for charts of up to a
+/// sixth of all texels. Larger ones are rare and take more.
+const CHARTED: u64 = 16;
+/// Per texel: the stated bound, and its page.
+const BOUND: u64 = 8;
 /// Per pixel of a page: what is beside the texels while it is finished.
 const PIXEL: u64 = 14;
 /// Times that the bytes of the scene's files exist when they are written again: as read, laid out, and as a .glb.
@@ -391,15 +396,18 @@ fn memory(facts: &Facts, scene: &Scene, settings: &Settings, runs: &dyn Fn(Stage
     Memory {
         rays: when(Stage::Rays, (facts.triangles as u64).saturating_mul(RAY_TRIANGLE)),
         surfels: when(Stage::Surfels, surfels.saturating_mul(SURFEL)),
-        texels: when(Stage::Unwrap, texel_bytes(pixels)),
+        texels: when(Stage::Unwrap, texel_bytes(pixels, settings, runs)),
         images: when(Stage::Finish, image_bytes(pixels)),
         files: 0,
     }
 }
 
 /// Nine tenths of the pixels of a page are texels, partly covered ones included.
-fn texel_bytes(pixels: u64) -> u64 {
-    (pixels / 10 * 9).saturating_mul(TEXEL)
+fn texel_bytes(pixels: u64, settings: &Settings, runs: &dyn Fn(Stage) -> bool) -> u64 {
+    let charted = runs(Stage::Sky) || runs(Stage::Gather) && settings.gatherer() != Gatherer::Lookup;
+    let bound = settings.bound && settings.states_bound() && runs(Stage::Gather);
+    let each = TEXEL + if charted { CHARTED } else { 0 } + if bound { BOUND } else { 0 };
+    (pixels / 10 * 9).saturating_mul(each)
 }
 
 fn image_bytes(pixels: u64) -> u64 {
@@ -506,13 +514,14 @@ mod tests {
         let of = |density| {
             let settings = Settings { texel_density: OrAuto(Some(density)), ..Settings::default() };
             let plan = Plan::new(&scene, &settings);
-            (plan.least_memory(&settings), plan.memory)
+            let pages = texel_bytes(2 << 20, &settings, &|stage| plan.runs(stage));
+            (plan.least_memory(&settings), plan.memory, pages)
         };
-        let (least, estimate) = of(1.0);
+        let (least, estimate, _) = of(1.0);
         assert_eq!(least, estimate);
         // Two objects on a page each, whatever their density.
-        let (least, estimate) = of(1e9);
-        assert!(least.texels < estimate.texels && least.texels == texel_bytes(2 << 20));
+        let (least, estimate, pages) = of(1e9);
+        assert!(least.texels < estimate.texels && least.texels == pages);
         assert_eq!(least.images, image_bytes(2 << 20));
     }
 
