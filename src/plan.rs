@@ -7,6 +7,7 @@
 use luxel_atlas::AtlasSettings;
 use luxel_export::report::Warning;
 use luxel_scene::{LightKind, Material, Scene};
+use luxel_transport::solve::SolveSettings;
 use serde::Serialize;
 
 use crate::settings::{Gatherer, Only, Settings, Voxels};
@@ -111,6 +112,8 @@ pub struct Facts {
     pub sky: bool,
     /// No surface reflects any light.
     pub black: bool,
+    /// Some surface may reflect so much that bounces do not come to rest by themselves.
+    pub bright: bool,
     /// All lights and surfaces are grey.
     pub grey: bool,
     /// Some surface has holes or lets light through.
@@ -183,7 +186,7 @@ impl Plan {
         let pages = (self.facts.receivers as u64).min(AtlasSettings::default().max_pages.into());
         let pixels = pages.saturating_mul(side * side);
         Memory {
-            texels: self.memory.texels.min(texel_bytes(pixels)),
+            texels: self.memory.texels.min(texel_bytes(pixels, settings, &|stage| self.runs(stage))),
             images: self.memory.images.min(image_bytes(pixels)),
             ..self.memory
         }
@@ -231,6 +234,7 @@ impl Facts {
                 facts.emissive_triangles += mesh.triangles.len();
             }
             facts.black &= is_black(material);
+            facts.bright |= f64::from(material.base_color.truncate().max_element()) > SolveSettings::default().stiff;
             facts.passable |= !material.is_opaque();
             facts.area += (0..mesh.triangles.len())
                 .map(|t| {
@@ -360,15 +364,27 @@ fn decide(stage: Stage, facts: &Facts, settings: &Settings) -> Result<String, St
 /// Per triangle: its geometry and the trees of rays, at the peak of their making.
 const RAY_TRIANGLE: u64 = 410;
 /// Per surfel: the surfel and its light while it is propagated.
-const SURFEL: u64 = 152;
-/// Per texel: where it is, and its light.
-const TEXEL: u64 = 61;
-/// Per pixel of a page: the finished images and what the encoders hold.
-const PIXEL: u64 = 42;
+const SURFEL: u64 = 145;
+/// Per surfel and thread: the lines of a direction, where a slice of voxels may have as many as the scene has surfels;
+/// a sweep has at most so many directions in flight that they stay below the second figure.
+const LINES: u64 = 16;
+const MOST_LINES: u64 = 64;
+/// Per surfel, where a surface is so bright that bounces may not come to rest by themselves: the solver's history.
+const STIFF: u64 = 125;
+/// Per texel: where it is and its light, beside which its pages are made. While light is found its parts are still apart;
+/// then there are no pages yet, and together they are less than this and [`PIXEL`].
+const TEXEL: u64 = 38;
+/// Per texel where light is interpolated between nodes, chart by chart: what a chart holds beside, for charts of up to a
+/// sixth of all texels. Larger ones are rare and take more.
+const CHARTED: u64 = 16;
+/// Per texel: the stated bound, and its page.
+const BOUND: u64 = 8;
+/// Per pixel of a page: what is beside the texels while it is finished.
+const PIXEL: u64 = 14;
 /// Times that the bytes of the scene's files exist when they are written again: as read, laid out, and as a .glb.
 const COPIES: u64 = 3;
 /// The picture and what else does not grow with the scene.
-const FIXED: u64 = 12 << 20;
+const FIXED: u64 = 16 << 20;
 
 /// Figures beyond all measure saturate: what asks for that much is refused by its stage, not by the estimate.
 fn memory(facts: &Facts, scene: &Scene, settings: &Settings, runs: &dyn Fn(Stage) -> bool) -> Memory {
@@ -389,16 +405,27 @@ fn memory(facts: &Facts, scene: &Scene, settings: &Settings, runs: &dyn Fn(Stage
     let when = |stage, bytes| if runs(stage) { bytes } else { 0 };
     Memory {
         rays: when(Stage::Rays, (facts.triangles as u64).saturating_mul(RAY_TRIANGLE)),
-        surfels: when(Stage::Surfels, surfels.saturating_mul(SURFEL)),
-        texels: when(Stage::Unwrap, texel_bytes(pixels)),
+        surfels: when(Stage::Surfels, surfels.saturating_mul(surfel_bytes(facts, settings))),
+        texels: when(Stage::Unwrap, texel_bytes(pixels, settings, runs)),
         images: when(Stage::Finish, image_bytes(pixels)),
         files: 0,
     }
 }
 
+fn surfel_bytes(facts: &Facts, settings: &Settings) -> u64 {
+    let threads = match settings.threads.0 {
+        0 => std::thread::available_parallelism().map_or(1, std::num::NonZero::get) as u64,
+        n => u64::from(n),
+    };
+    SURFEL + (LINES * threads).min(MOST_LINES) + if facts.bright { STIFF } else { 0 }
+}
+
 /// Nine tenths of the pixels of a page are texels, partly covered ones included.
-fn texel_bytes(pixels: u64) -> u64 {
-    (pixels / 10 * 9).saturating_mul(TEXEL)
+fn texel_bytes(pixels: u64, settings: &Settings, runs: &dyn Fn(Stage) -> bool) -> u64 {
+    let charted = runs(Stage::Sky) || runs(Stage::Gather) && settings.gatherer() != Gatherer::Lookup;
+    let bound = settings.bound && settings.states_bound() && runs(Stage::Gather);
+    let each = TEXEL + if charted { CHARTED } else { 0 } + if bound { BOUND } else { 0 };
+    (pixels / 10 * 9).saturating_mul(each)
 }
 
 fn image_bytes(pixels: u64) -> u64 {
@@ -505,13 +532,14 @@ mod tests {
         let of = |density| {
             let settings = Settings { texel_density: OrAuto(Some(density)), ..Settings::default() };
             let plan = Plan::new(&scene, &settings);
-            (plan.least_memory(&settings), plan.memory)
+            let pages = texel_bytes(2 << 20, &settings, &|stage| plan.runs(stage));
+            (plan.least_memory(&settings), plan.memory, pages)
         };
-        let (least, estimate) = of(1.0);
+        let (least, estimate, _) = of(1.0);
         assert_eq!(least, estimate);
         // Two objects on a page each, whatever their density.
-        let (least, estimate) = of(1e9);
-        assert!(least.texels < estimate.texels && least.texels == texel_bytes(2 << 20));
+        let (least, estimate, pages) = of(1e9);
+        assert!(least.texels < estimate.texels && least.texels == pages);
         assert_eq!(least.images, image_bytes(2 << 20));
     }
 

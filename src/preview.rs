@@ -53,16 +53,14 @@ impl Preview<'_> {
         let (width, height) = size(&camera);
         progress.begin("preview", u64::from(height));
         let lens = Lens::new(&camera, self.rays, f64::from(width) / f64::from(height));
-        let rows: Vec<Vec<Rgb>> = (0..height)
-            .into_par_iter()
-            .map(|y| {
-                progress.check()?;
-                let row = (0..width).map(|x| self.pixel(&lens, x, y, width, height)).collect();
-                progress.advance(1);
-                Ok(row)
-            })
-            .collect::<Result<_, Cancelled>>()?;
-        Ok(Picture { width, height, radiance: rows.concat() })
+        let mut picture = Picture { width, height, radiance: vec![Rgb::ZERO; width as usize * height as usize] };
+        (0..height).into_par_iter().zip(picture.radiance.par_chunks_mut(width as usize)).try_for_each(|(y, row)| {
+            progress.check()?;
+            (0..width).zip(row).for_each(|(x, pixel)| *pixel = self.pixel(&lens, x, y, width, height));
+            progress.advance(1);
+            Ok(())
+        })?;
+        Ok(picture)
     }
 
     fn pixel(&self, lens: &Lens, x: u32, y: u32, width: u32, height: u32) -> Rgb {

@@ -6,7 +6,7 @@ use std::f64::consts::PI;
 
 use glam::{DVec3, Vec3};
 use luxel::Lit;
-use luxel::settings::{Settings, Voxels};
+use luxel::settings::{Only, Settings, Voxels};
 use luxel_scene::{LightKind, Scene, Sky, build::Builder};
 use support::*;
 
@@ -168,7 +168,7 @@ fn a_rectangle_that_stands_on_the_plane() {
     assert_texels_within("rectangle on a plane, within a voxel", &scene, &lit, &near, 0.02, &exact);
     // Its back is dark, and hides the lit side of the floor, which reflects.
     for i in valid_texels(&lit, |i| !before(i)) {
-        assert_eq!(lit.texels.total(i), Vec3::ZERO, "{}", position(&scene, &lit, i));
+        assert_eq!(lit.texels.irradiance[i], Vec3::ZERO, "{}", position(&scene, &lit, i));
     }
 }
 
@@ -183,7 +183,7 @@ fn assert_lamp(name: &str, kind: LightKind, exact: impl Fn(DVec3) -> f64) {
     assert_texels_within(name, &scene, &lit, &bright, 1e-3, &exact);
     // Where the closed form is dark the lightmap is, too.
     for i in valid_texels(&lit, |i| exact(position(&scene, &lit, i)) == 0.0) {
-        assert_eq!(lit.texels.total(i), Vec3::ZERO, "{name}: {}", position(&scene, &lit, i));
+        assert_eq!(lit.texels.irradiance[i], Vec3::ZERO, "{name}: {}", position(&scene, &lit, i));
     }
 }
 
@@ -259,15 +259,25 @@ fn a_sky_that_a_wall_hides_half_of() {
     assert!(s.samples > 3000 && s.rmse <= 0.01 && s.bias.abs() <= 1e-3, "{s:?}");
 }
 
+/// All light of a scene, and the bakes of direct and of indirect light alone, which are its two parts.
+fn whole_and_parts(scene: &Scene) -> [Lit; 3] {
+    let lit = [Only::All, Only::Direct, Only::Indirect].map(|only| bake(scene, &Settings { only, ..medium(SIDE) }));
+    let [all, direct, indirect] = [&lit[0], &lit[1], &lit[2]].map(|lit| &lit.texels.irradiance);
+    assert!(all.len() == direct.len() && all.len() == indirect.len());
+    assert!((0..all.len()).all(|i| all[i] == direct[i] + indirect[i]), "the parts add up to the last bit");
+    lit
+}
+
 #[test]
 fn black_surfaces_have_no_indirect_light() {
     let mut scene = luxel_assets::cornell();
     for material in &mut scene.materials {
         material.base_color = Vec3::ZERO.extend(1.0);
     }
-    let lit = bake(&scene, &medium(SIDE));
-    assert!(lit.texels.indirect.iter().all(|e| *e == Vec3::ZERO));
-    assert!(valid_texels(&lit, |i| lit.texels.direct[i].min_element() > 0.1).len() > 500);
+    let [all, direct, indirect] = whole_and_parts(&scene);
+    assert!(indirect.texels.irradiance.iter().all(|e| *e == Vec3::ZERO));
+    assert_eq!(all.texels.irradiance, direct.texels.irradiance);
+    assert!(valid_texels(&all, |i| direct.texels.irradiance[i].min_element() > 0.1).len() > 500);
 }
 
 #[test]
@@ -281,12 +291,13 @@ fn one_black_room_in_a_grey_world_has_no_indirect_light() {
         b.cuboid("lamp", Vec3::new(x + 0.4, 0.7, 0.4), Vec3::new(x + 0.6, 0.8, 0.6), lamp, false);
     }
     let scene = b.build();
-    let lit = bake(&scene, &medium(SIDE));
-    let is_black = |i: &usize| position(&scene, &lit, *i).x < 2.0;
-    let (dark, lit_ones): (Vec<usize>, Vec<usize>) = valid_texels(&lit, |_| true).into_iter().partition(is_black);
-    assert!(dark.iter().all(|&i| lit.texels.indirect[i] == Vec3::ZERO));
-    assert!(dark.iter().filter(|&&i| lit.texels.direct[i].min_element() > 0.1).count() > 100);
-    assert!(lit_ones.iter().filter(|&&i| lit.texels.indirect[i].min_element() > 0.1).count() > 100);
+    let [all, direct, indirect] = whole_and_parts(&scene);
+    let is_black = |i: &usize| position(&scene, &all, *i).x < 2.0;
+    let (dark, lit_ones): (Vec<usize>, Vec<usize>) = valid_texels(&all, |_| true).into_iter().partition(is_black);
+    let [all, direct, indirect] = [all, direct, indirect].map(|lit| lit.texels.irradiance);
+    assert!(dark.iter().all(|&i| indirect[i] == Vec3::ZERO && all[i] == direct[i]));
+    assert!(dark.iter().filter(|&&i| direct[i].min_element() > 0.1).count() > 100);
+    assert!(lit_ones.iter().filter(|&&i| indirect[i].min_element() > 0.1).count() > 100);
 }
 
 #[test]
@@ -299,7 +310,7 @@ fn a_scene_without_light_is_dark() {
     assert_eq!(lit.lightmaps.len(), 1);
     assert!(lit.lightmaps[0].irradiance().iter().all(|e| *e == Vec3::ZERO));
     assert!(lit.lightmaps[0].irradiance().len() == (SIDE * SIDE) as usize);
-    assert!(lit.texels.direct.len() > 1000);
+    assert!(lit.texels.irradiance.len() > 1000);
 }
 
 #[test]

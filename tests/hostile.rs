@@ -7,7 +7,7 @@ use std::path::Path;
 use std::time::{Duration, Instant};
 
 use glam::{DAffine3, DMat3, DVec3, Vec3};
-use luxel::settings::{Preset, Settings, resolve, value::*};
+use luxel::settings::{Only, Preset, Settings, resolve, value::*};
 use luxel::{Error, Request, bake, bake_scene, plan_file};
 use luxel_export::{ExportError, OutputSet};
 use luxel_scene::{Instance, LightKind, Material, Mesh, Scene, Silent, Sky, build::Builder};
@@ -36,8 +36,8 @@ fn bake_file(path: &Path) -> Result<(), Error> {
     settings.settings = tiny();
     let outputs = OutputSet::new(path, None, None).unwrap();
     let baked = bake(&Request { scene: path.into(), outputs, settings, worker: None }, &Silent)?;
-    for map in &baked.lit.lightmaps {
-        assert!(map.irradiance().iter().all(|e| e.is_finite() && e.min_element() >= 0.0));
+    for file in baked.files.iter().filter(|file| file.extension().is_some_and(|e| e == "exr")) {
+        tool::lightmap(file);
     }
     Ok(())
 }
@@ -186,20 +186,25 @@ fn numbers(value: &Value, at: String, out: &mut Vec<String>) {
     }
 }
 
-/// Bakes a scene in memory under a sky and with every stage; its light is finite and not negative.
+/// Bakes a scene in memory under a sky and with every stage; its light is finite and not negative, and so are its direct
+/// and its indirect part, each baked alone.
 fn bakes(mut scene: Scene) -> luxel::Lit {
     scene.sky = Sky::Constant(Vec3::ONE);
-    let settings = Settings { sky: SkySetting::Constant(Vec3::ONE), ..tiny() };
-    let start = Instant::now();
-    let lit = bake_scene(&scene, &settings, &Silent).unwrap_or_else(|e| panic!("{}: {e:?}", scene.name));
-    assert!(start.elapsed() < Duration::from_secs(20), "{}: {:?}", scene.name, start.elapsed());
-    for map in &lit.lightmaps {
-        assert!(map.irradiance().iter().all(|e| e.is_finite() && e.min_element() >= 0.0), "{}", scene.name);
-    }
-    for e in lit.texels.direct.iter().chain(&lit.texels.indirect) {
-        assert!(e.is_finite() && e.min_element() >= 0.0, "{}", scene.name);
-    }
-    lit
+    let bake = |only| {
+        let settings = Settings { sky: SkySetting::Constant(Vec3::ONE), only, ..tiny() };
+        let start = Instant::now();
+        let lit = bake_scene(&scene, &settings, &Silent).unwrap_or_else(|e| panic!("{}: {e:?}", scene.name));
+        assert!(start.elapsed() < Duration::from_secs(20), "{}: {:?}", scene.name, start.elapsed());
+        let images = lit.lightmaps.iter().flat_map(|map| map.irradiance());
+        for e in images.chain(&lit.texels.irradiance) {
+            assert!(e.is_finite() && e.min_element() >= 0.0, "{}, {only:?}: {e}", scene.name);
+        }
+        lit
+    };
+    let [all, direct, indirect] = [Only::All, Only::Direct, Only::Indirect].map(bake);
+    let parts = direct.texels.irradiance.iter().zip(&indirect.texels.irradiance).map(|(d, i)| *d + *i);
+    assert!(parts.eq(all.texels.irradiance.iter().copied()), "{}: the parts are not the whole", scene.name);
+    all
 }
 
 fn brightest(lit: &luxel::Lit) -> f32 {

@@ -2,7 +2,10 @@
 
 use std::path::{Path, PathBuf};
 
-use luxel_export::{Depth, Files, Original, OutputSet, Report, ToneMap, encode_png, report::Warning, sample_lightmap};
+use luxel_export::{
+    BoundMap, Depth, Files, Lightmap, Original, OutputSet, Report, ToneMap, encode_png, report::Warning,
+    sample_lightmap,
+};
 use luxel_scene::Scene;
 use luxel_transport::{Rgb, geometry::Geometry, rays::Rays};
 
@@ -24,7 +27,7 @@ pub fn preview(
         let picture = match rays {
             Some(rays) => {
                 let irradiance = |instance, triangle, u, v| at(lit, instance, triangle, u, v);
-                Preview { rays, irradiance: &irradiance, mean: mean(lit) }.render(progress)?
+                Preview { rays, irradiance: &irradiance, mean: lit.sums.mean }.render(progress)?
             }
             None => Picture::black(geometry.scene),
         };
@@ -42,16 +45,6 @@ fn at(lit: &Lit, instance: u32, triangle: u32, u: f32, v: f32) -> Option<Rgb> {
     let [a, b, c] = corners.map(|i| placed.uvs[i as usize]);
     let uv = a * (1.0 - u - v) + b * u + c * v;
     Some(sample_lightmap(&lit.lightmaps, placed.page, uv))
-}
-
-/// Mean irradiance over the texels that count.
-fn mean(lit: &Lit) -> Rgb {
-    let (mut sum, mut count) = (glam::DVec3::ZERO, 0.0);
-    for i in (0..lit.atlas.texels.len()).filter(|i| !lit.texels.buried[*i]) {
-        sum += lit.texels.total(i).as_dvec3();
-        count += 1.0;
-    }
-    if count > 0.0 { (sum / count).as_vec3() } else { Rgb::ZERO }
 }
 
 /// The scene with its lightmap, over the file as it was.
@@ -93,21 +86,14 @@ pub fn can_write(folder: &Path) -> std::io::Result<()> {
 /// Writes all files; returns them in the order of writing.
 pub fn write(
     outputs: &OutputSet,
-    lit: &Lit,
+    (lightmaps, bounds): (&[Lightmap], &[BoundMap]),
     picture: Option<&[u8]>,
     glb: &[u8],
     key: &[u8; 32],
     report: &mut Report,
 ) -> Result<Vec<PathBuf>, Error> {
     let key = blake3::Hash::from(*key).to_hex();
-    let files = Files {
-        lightmaps: &lit.lightmaps,
-        bounds: &lit.bounds,
-        depth: Depth::Float,
-        key: &key,
-        preview_png: picture,
-        glb,
-    };
+    let files = Files { lightmaps, bounds, depth: Depth::Float, key: &key, preview_png: picture, glb };
     outputs.write(&files, report)?;
     let listed = report.outputs.iter().map(|o| outputs.folder().join(&o.path));
     Ok(listed.chain([outputs.report()]).collect())

@@ -5,12 +5,14 @@ mod export;
 mod finish;
 mod input;
 pub mod journal;
+mod light;
 mod memory;
 mod record;
 mod report;
 mod texels;
 mod transport;
 
+use std::borrow::Cow;
 use std::panic::AssertUnwindSafe;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -24,7 +26,8 @@ use crate::Error;
 use crate::plan::{Plan, Stage};
 use crate::settings::{Resolved, Settings};
 use journal::Journal;
-pub use texels::TexelLight;
+use light::Parts;
+pub use light::TexelLight;
 
 /// What to bake, where to, and how.
 #[derive(Clone, Debug)]
@@ -39,7 +42,7 @@ pub struct Request {
     pub worker: Option<PathBuf>,
 }
 
-/// A finished bake.
+/// A finished bake. Its light lies in its files; [`bake_scene`] hands it over instead.
 #[derive(Debug)]
 pub struct Baked {
     pub report: Report,
@@ -50,7 +53,6 @@ pub struct Baked {
     pub inputs: Vec<InputFile>,
     /// Wall-clock time.
     pub seconds: f64,
-    pub lit: Lit,
 }
 
 /// A scene's light at its texels.
@@ -58,13 +60,21 @@ pub struct Baked {
 pub struct Lit {
     pub atlas: Atlas,
     pub atlas_report: AtlasReport,
-    /// By texel of the atlas, before dilation and stitching.
+    /// By texel of the atlas, before dilation and stitching; empty where images are all that is kept.
     pub texels: TexelLight,
     /// By page of the atlas.
     pub lightmaps: Vec<Lightmap>,
     /// By page, where the settings ask for it.
     pub bounds: Vec<BoundMap>,
+    pub(crate) sums: light::Sums,
     pub(crate) transport: transport::Facts,
+}
+
+/// What of the light at texels outlives the images that are made of it.
+#[derive(Clone, Copy, PartialEq)]
+enum Keep {
+    Texels,
+    Images,
 }
 
 /// Bakes a scene file to files (the chain is shown in the crate's documentation). When it fails or is cancelled, the
@@ -94,18 +104,21 @@ fn run(request: &Request, progress: &dyn Progress) -> Result<Baked, Error> {
         store.probe()?;
     }
     let (lit, rays) = match &request.worker {
-        Some(path) => light(&geometry, settings, &plan, &worker(path), Some(&store), &mut journal)?,
-        None => light(&geometry, settings, &plan, &InProcess, Some(&store), &mut journal)?,
+        Some(path) => light(&geometry, settings, &plan, &worker(path), Some(&store), Keep::Images, &mut journal)?,
+        None => light(&geometry, settings, &plan, &InProcess, Some(&store), Keep::Images, &mut journal)?,
     };
     let picture = export::preview(&geometry, rays.as_ref(), &plan, &lit, &mut journal)?;
+    drop(rays);
     let mut report = report::start(&scene, &plan, &request.settings);
     let glb = export::glb(request, &original, &scene, &plan, &lit, &mut report, &mut journal)?;
     report::fill(&mut report, &scene, settings, &plan, &lit, &journal, start.elapsed().as_secs_f64());
     // From here on the old files are replaced.
     progress.check()?;
-    let files = export::write(&request.outputs, &lit, picture.as_deref(), &glb, &key, &mut report)?;
+    // Beside the encoders lives what they read.
+    let Lit { lightmaps, bounds, .. } = lit;
+    let files = export::write(&request.outputs, (&lightmaps, &bounds), picture.as_deref(), &glb, &key, &mut report)?;
     let inputs = input::all(&scene, &original);
-    Ok(Baked { report, files, inputs, seconds: start.elapsed().as_secs_f64(), lit })
+    Ok(Baked { report, files, inputs, seconds: start.elapsed().as_secs_f64() })
 }
 
 /// Bakes a scene in memory: atlas, light at texels, finished images; no file is read or written.
@@ -113,7 +126,7 @@ pub fn bake_scene(scene: &Scene, settings: &Settings, progress: &dyn Progress) -
     with_threads(settings, || {
         let plan = Plan::new(scene, settings);
         let geometry = Geometry::new(scene);
-        Ok(light(&geometry, settings, &plan, &InProcess, None, &mut Journal::new(progress))?.0)
+        Ok(light(&geometry, settings, &plan, &InProcess, None, Keep::Texels, &mut Journal::new(progress))?.0)
     })
 }
 
@@ -148,6 +161,7 @@ fn light<'g>(
     plan: &Plan,
     unwrapper: &dyn Unwrapper,
     store: Option<&transport::Store>,
+    keep: Keep,
     journal: &mut Journal,
 ) -> Result<(Lit, Option<Rays<'g>>), Error> {
     let scene = geometry.scene;
@@ -168,7 +182,7 @@ fn light<'g>(
     let nowhere = || (Atlas { placed: vec![None; scene.instances.len()], ..Atlas::default() }, AtlasReport::default());
     let (atlas, atlas_report) = unwrapped.unwrap_or_else(nowhere);
     let rays = journal.run(plan, Stage::Rays, Some(0), |_, _| Ok(Rays::new(geometry)))?;
-    let (texels, transport) = match &rays {
+    let ((mut texels, sums), transport) = match &rays {
         Some(rays) => {
             let transport = transport::run(rays, settings, plan, store, journal)?;
             let texels = texels::run(rays, &atlas, &transport, settings, plan, journal)?;
@@ -177,18 +191,22 @@ fn light<'g>(
         None => {
             transport::skip(plan, journal);
             texels::skip(plan, journal);
-            (TexelLight::dark(atlas.texels.len(), plan.states_bound(settings)), transport::Facts::default())
+            (Parts::dark(atlas.texels.len(), plan.states_bound(settings)).merged(&atlas), transport::Facts::default())
         }
     };
     let images = journal.run(plan, Stage::Finish, Some(finish::STEPS), |progress, counters| {
-        let (lightmaps, bounds, report) = finish::run(scene, &atlas, &texels, settings, plan, progress)?;
+        let light = match keep {
+            Keep::Texels => Cow::Borrowed(&texels),
+            Keep::Images => Cow::Owned(std::mem::take(&mut texels)),
+        };
+        let (lightmaps, bounds, report) = finish::run(scene, &atlas, light, settings, plan, progress)?;
         counters.insert("filled_texels".into(), report.filled.into());
         counters.insert("lost_texels".into(), report.lost.into());
         counters.insert("seam_samples".into(), report.seam_samples.into());
         Ok((lightmaps, bounds))
     })?;
     let (lightmaps, bounds) = images.unwrap_or_default();
-    Ok((Lit { atlas, atlas_report, texels, lightmaps, bounds, transport }, rays))
+    Ok((Lit { atlas, atlas_report, texels, lightmaps, bounds, sums, transport }, rays))
 }
 
 /// The tool's own binary as a child that unwraps.
@@ -282,7 +300,7 @@ mod tests {
         let request = request(folder.path());
         let baked = bake(&request, &Saving(&request.scene)).unwrap();
         assert_eq!(std::fs::read(&request.scene).unwrap(), b"another level");
-        assert!(baked.files.iter().all(|file| file.exists()) && !baked.lit.lightmaps.is_empty());
+        assert!(baked.files.iter().all(|file| file.exists()) && baked.report.counters["texels"] > 0);
     }
 
     #[test]

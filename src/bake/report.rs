@@ -7,6 +7,7 @@ use serde_json::Value as Json;
 
 use super::Lit;
 use super::journal::Journal;
+use super::light::Sums;
 use super::record::Record;
 use crate::plan::{Plan, Stage};
 use crate::settings::{Resolved, Settings};
@@ -58,7 +59,7 @@ pub fn fill(
     for (name, count) in [
         ("triangles", plan.facts.triangles as u64),
         ("texels", lit.atlas.texels.len() as u64),
-        ("buried_texels", lit.texels.buried.iter().filter(|b| **b).count() as u64),
+        ("buried_texels", lit.sums.buried),
         ("charts", lit.atlas.charts.len() as u64),
         ("surfels", lit.transport.surfels),
         ("primary_photons", counted("primary_photons")),
@@ -102,20 +103,9 @@ fn warn(report: &mut Report, code: &str, message: impl Into<String>) {
     report.warnings.push(Warning { code: code.into(), message: message.into() });
 }
 
-/// Figures by which a result can be judged; sums in f64 in the order of texels.
+/// Figures by which a result can be judged.
 fn quality(report: &mut Report, plan: &Plan, lit: &Lit, settings: &Settings, journal: &Journal) {
-    let (mut area, mut direct, mut indirect, mut bound) = (0.0, 0.0, 0.0, 0.0);
-    let light = &lit.texels;
-    for (i, texel) in lit.atlas.texels.iter().enumerate() {
-        if light.buried[i] || texel.coverage() < 0.5 {
-            continue;
-        }
-        let a = f64::from(texel.footprint()) * f64::from(texel.footprint());
-        area += a;
-        direct += a * f64::from(light.direct[i].element_sum()) / 3.0;
-        indirect += a * f64::from(light.indirect[i].element_sum()) / 3.0;
-        bound += a * f64::from(light.bound.get(i).copied().unwrap_or_default());
-    }
+    let Sums { area, direct, indirect, bound, .. } = lit.sums;
     let mut put = |name: &str, value: f64| {
         report.quality.insert(name.into(), value);
     };

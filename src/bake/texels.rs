@@ -1,12 +1,11 @@
 //! The light at texels: direct, from the sky, and indirect, each by its own gather.
 //!
 //! Receivers are made from texels when they are needed, a block at a time, so that a texel costs its results only:
-//! irradiance direct and indirect, bound, and whether it is buried.
+//! irradiance direct and indirect, bound, and whether it is buried. At the end the two are added up.
 
 use luxel_atlas::{Atlas, Chart, Texel};
 use luxel_scene::Progress;
 use luxel_transport::{
-    Rgb,
     gather::{
         Field, FinalGather, Gather, Gathered, Lightcuts, Lookup, Receiver, lightcuts,
         nodes::{Cell, NodeSettings, interpolate},
@@ -21,6 +20,7 @@ use rayon::prelude::*;
 
 use super::direct;
 use super::journal::{Counters, Journal};
+use super::light::{Parts, Sums, TexelLight};
 use super::transport::Transport;
 use crate::Error;
 use crate::plan::{Plan, Stage};
@@ -31,35 +31,6 @@ const BLOCK: usize = 1 << 14;
 
 /// Mixed into the seed of receivers on backs.
 const BACK: u64 = 0xbac5;
-
-/// Light at the texels of an atlas, in their order.
-#[derive(Clone, Debug, Default)]
-pub struct TexelLight {
-    /// Straight from lamps, suns and emissive surfaces [lux].
-    pub direct: Vec<Rgb>,
-    /// Reflected at least once, and from the sky [lux].
-    pub indirect: Vec<Rgb>,
-    /// Stated bound of the error of the band mean of the indirect light [lux]: the cuts' own at nodes, an estimate once
-    /// those are averaged and interpolated. Empty where none is asked for or can be stated.
-    pub bound: Vec<f32>,
-    /// Inside or under other geometry: its value means nothing.
-    pub buried: Vec<bool>,
-}
-
-impl TexelLight {
-    pub fn dark(texels: usize, bound: bool) -> Self {
-        Self {
-            direct: vec![Rgb::ZERO; texels],
-            indirect: vec![Rgb::ZERO; texels],
-            bound: if bound { vec![0.0; texels] } else { Vec::new() },
-            buried: vec![false; texels],
-        }
-    }
-
-    pub fn total(&self, texel: usize) -> Rgb {
-        self.direct[texel] + self.indirect[texel]
-    }
-}
 
 /// Some texels, seen from one side of their surfaces.
 struct Side<'a> {
@@ -73,12 +44,12 @@ struct Side<'a> {
     moved: Vec<(usize, Receiver)>,
     /// Texels of a front whose point is buried by something thin, with receivers on its far side, by rising index.
     beyond: Vec<(usize, Receiver)>,
-    light: TexelLight,
+    light: Parts,
 }
 
 impl<'a> Side<'a> {
     fn front(geometry: &'a Geometry<'a>, atlas: &'a Atlas, bound: bool) -> Self {
-        let light = TexelLight::dark(atlas.texels.len(), bound);
+        let light = Parts::dark(atlas.texels.len(), bound);
         Self {
             geometry,
             texels: &atlas.texels,
@@ -97,7 +68,7 @@ impl<'a> Side<'a> {
             |t: &Texel| geometry.material(geometry.triangle(atlas.chart(t).instance, t.triangle)).double_sided;
         let numbered = (0u32..).zip(&atlas.texels);
         let some: Vec<u32> = numbered.filter(|(_, t)| is_double(t)).map(|(i, _)| i).collect();
-        let light = TexelLight::dark(some.len(), bound);
+        let light = Parts::dark(some.len(), bound);
         Self {
             geometry,
             texels: &atlas.texels,
@@ -117,7 +88,7 @@ impl<'a> Side<'a> {
             some: Some(self.beyond.iter().map(|(i, _)| *i as u32).collect()),
             moved: self.beyond.iter().map(|(_, receiver)| *receiver).enumerate().collect(),
             beyond: Vec::new(),
-            light: TexelLight::dark(self.beyond.len(), !self.light.bound.is_empty()),
+            light: Parts::dark(self.beyond.len(), !self.light.bound.is_empty()),
             ..*self
         }
     }
@@ -185,7 +156,7 @@ impl<'a> Side<'a> {
         gatherer: &dyn Gather,
         nodes: Option<NodeSettings>,
         progress: &dyn Progress,
-        mut put: impl FnMut(&mut TexelLight, usize, &Gathered),
+        mut put: impl FnMut(&mut Parts, usize, &Gathered),
     ) -> Result<u64, Error> {
         let mut gathered = 0;
         let mut first = 0;
@@ -231,7 +202,7 @@ impl<'a> Side<'a> {
     }
 }
 
-/// Gathers all light that the plan wants at every texel.
+/// Gathers all light that the plan wants at every texel; the sums tell its parts.
 pub fn run(
     rays: &Rays,
     atlas: &Atlas,
@@ -239,7 +210,7 @@ pub fn run(
     settings: &Settings,
     plan: &Plan,
     journal: &mut Journal,
-) -> Result<TexelLight, Error> {
+) -> Result<(TexelLight, Sums), Error> {
     let geometry = rays.geometry;
     let bound = plan.states_bound(settings);
     let mut sides = vec![Side::front(geometry, atlas, bound)];
@@ -291,7 +262,7 @@ pub fn run(
             }
         }
     })?;
-    Ok(combine_sides(sides, settings.double_sided))
+    Ok(combine_sides(sides, settings.double_sided).merged(atlas))
 }
 
 /// All gathering is left out.
@@ -356,7 +327,7 @@ fn gather(
 ///
 /// A texel under a thin wall can hold the light of one side only, and is read on both. It takes the darker: too little
 /// light in a bright place is lost over one texel, too much in a dark one is a line many times too bright.
-fn combine_sides(sides: Vec<Side>, rule: DoubleSided) -> TexelLight {
+fn combine_sides(sides: Vec<Side>, rule: DoubleSided) -> Parts {
     let mut sides = sides.into_iter();
     let mut out = sides.next().map(|s| s.light).unwrap_or_default();
     for side in sides {

@@ -11,7 +11,7 @@ use std::{
 use cpu_time::ProcessTime;
 use luxel::{
     Lit, bake_scene,
-    settings::{Preset, Settings, value::Texels},
+    settings::{Only, Preset, Settings, value::Texels},
 };
 use luxel_scene::{ImportOptions, Progress, Scene};
 
@@ -107,7 +107,10 @@ fn sponza() {
     let scene = luxel_scene::import::load(&path, &ImportOptions::default()).expect("the scene reads");
     let settings = Settings { size: Texels(1024), ..Settings::preset(Preset::Medium) };
     let (lit, stages) = timed(&scene, &settings);
-    assert!(lit.texels.indirect.iter().any(|e| e.max_element() > 0.0), "the atrium is lit");
+    assert!(lit.texels.irradiance.iter().any(|e| e.max_element() > 0.0), "the atrium is lit");
+    let bounced = Settings { size: Texels(64), only: Only::Indirect, ..Settings::preset(Preset::Draft) };
+    let bounced = support::bake(&scene, &bounced);
+    assert!(bounced.texels.irradiance.iter().any(|e| e.max_element() > 0.0), "light bounces in the atrium");
     let seconds = stages.total() - stages.seconds(&UNWRAP);
     row("Sponza, 1024², medium, without unwrap", seconds, "s of CPU", Goal::Information);
 }

@@ -17,9 +17,11 @@ pub(crate) struct Canvas {
 }
 
 impl Canvas {
-    pub fn new(width: u32, height: u32) -> Self {
+    /// A page of these values, of which nobody owns and knows any yet.
+    pub fn new(width: u32, height: u32, value: Vec<Vec3>) -> Self {
         let n = width as usize * height as usize;
-        Self { width, height, owner: vec![0; n], value: vec![Vec3::ZERO; n], trust: vec![0.0; n] }
+        debug_assert_eq!(value.len(), n);
+        Self { width, height, owner: vec![0; n], value, trust: vec![0.0; n] }
     }
 
     pub fn index(&self, x: u32, y: u32) -> usize {
@@ -111,7 +113,7 @@ mod tests {
 
     #[test]
     fn dilation_keeps_constants_and_stops_at_the_ring() {
-        let mut canvas = Canvas::new(9, 9);
+        let mut canvas = Canvas::new(9, 9, vec![Vec3::ZERO; 81]);
         let at = canvas.index(4, 4);
         (canvas.owner[at], canvas.value[at], canvas.trust[at]) = (7, Vec3::splat(0.1), 1.0);
         let grown = canvas.dilate(2);
@@ -123,7 +125,7 @@ mod tests {
     #[test]
     fn a_border_is_continued_straight_on() {
         // A row of texels, bright on the left: what lies under the dark ones takes nothing across the corner.
-        let mut canvas = Canvas::new(4, 2);
+        let mut canvas = Canvas::new(4, 2, vec![Vec3::ZERO; 8]);
         for x in 0..4 {
             (canvas.owner[x], canvas.trust[x]) = (1, 1.0);
             canvas.value[x] = Vec3::splat(if x < 2 { 9.0 } else { 1.0 });
@@ -134,7 +136,7 @@ mod tests {
 
     #[test]
     fn filling_stays_within_the_chart() {
-        let mut canvas = Canvas::new(4, 1);
+        let mut canvas = Canvas::new(4, 1, vec![Vec3::ZERO; 4]);
         canvas.owner = vec![1, 1, 2, 2];
         canvas.value = vec![Vec3::ONE, Vec3::ZERO, Vec3::ZERO, Vec3::splat(5.0)];
         canvas.trust = vec![1.0, 0.0, 0.0, 1.0];

@@ -8,7 +8,7 @@ use glam::Vec3;
 use luxel_scene::Scene;
 
 use crate::canvas::Canvas;
-use crate::{Atlas, seams};
+use crate::{Atlas, Page, Texel, seams};
 
 /// One finished page.
 #[derive(Clone, Debug, PartialEq)]
@@ -79,38 +79,51 @@ pub fn finish(
     let images = canvases.into_iter().zip(0..).map(|(canvas, page)| image(canvas, page));
     let mut images: Vec<Image> = images.collect();
     for texel in &atlas.texels {
-        let image = &mut images[atlas.chart(texel).page as usize];
-        image.coverage[usize::from(texel.y) * image.width as usize + usize::from(texel.x)] = texel.coverage();
+        if let Some((page, at)) = place(atlas, texel) {
+            images[page].coverage[at] = texel.coverage();
+        }
     }
     Ok((images, report))
 }
 
-/// Pages with the values at their places, and the texels of each page that have none.
+/// Pages with the values at their places, and the texels of each page that have none. The values come first and end
+/// with `value`, so that what it reads is not kept beside the rest of the page.
 fn scattered(
     atlas: &Atlas,
     value: impl Fn(usize) -> Option<Vec3>,
 ) -> Result<(Vec<Canvas>, Vec<Vec<usize>>), FinishError> {
-    let mut canvases: Vec<Canvas> = atlas.pages.iter().map(|p| Canvas::new(p.width, p.height)).collect();
-    let mut buried = vec![Vec::new(); canvases.len()];
+    let pixels = |page: &Page| page.width as usize * page.height as usize;
+    let mut values: Vec<Vec<Vec3>> = atlas.pages.iter().map(|page| vec![Vec3::ZERO; pixels(page)]).collect();
+    let mut buried = vec![Vec::new(); values.len()];
     for (number, texel) in atlas.texels.iter().enumerate() {
-        let page = atlas.charts.get(texel.chart as usize).map(|chart| chart.page as usize);
-        let page = page.filter(|page| *page < canvases.len()).ok_or(FinishError::Atlas { texel: number })?;
-        let canvas = &mut canvases[page];
-        if u32::from(texel.x) >= canvas.width || u32::from(texel.y) >= canvas.height {
-            return Err(FinishError::Atlas { texel: number });
-        }
-        let at = canvas.index(texel.x.into(), texel.y.into());
-        canvas.owner[at] = texel.chart + 1;
+        let (page, at) = place(atlas, texel).ok_or(FinishError::Atlas { texel: number })?;
         match value(number) {
-            Some(value) if value.is_finite() && value.min_element() >= 0.0 => {
-                canvas.value[at] = value;
-                canvas.trust[at] = texel.coverage().max(0.01);
-            }
+            Some(value) if value.is_finite() && value.min_element() >= 0.0 => values[page][at] = value,
             Some(_) => return Err(FinishError::Value { texel: number }),
             None => buried[page].push(at),
         }
     }
+    drop(value);
+    let canvas = |(page, values): (&Page, Vec<Vec3>)| Canvas::new(page.width, page.height, values);
+    let mut canvases: Vec<Canvas> = atlas.pages.iter().zip(values).map(canvas).collect();
+    for texel in &atlas.texels {
+        // Every place was looked at above.
+        let Some((page, at)) = place(atlas, texel) else { continue };
+        canvases[page].owner[at] = texel.chart + 1;
+        canvases[page].trust[at] = texel.coverage().max(0.01);
+    }
+    for (canvas, buried) in canvases.iter_mut().zip(&buried) {
+        buried.iter().for_each(|&at| canvas.trust[at] = 0.0);
+    }
     Ok((canvases, buried))
+}
+
+/// The page of a texel and its index there; none where it lies outside.
+fn place(atlas: &Atlas, texel: &Texel) -> Option<(usize, usize)> {
+    let number = atlas.charts.get(texel.chart as usize)?.page as usize;
+    let page = atlas.pages.get(number)?;
+    let inside = u32::from(texel.x) < page.width && u32::from(texel.y) < page.height;
+    inside.then(|| (number, usize::from(texel.y) * page.width as usize + usize::from(texel.x)))
 }
 
 fn fill(canvases: &mut [Canvas], buried: Vec<Vec<usize>>, report: &mut FinishReport) {

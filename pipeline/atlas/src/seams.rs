@@ -159,12 +159,13 @@ struct System {
 
 impl System {
     fn new(canvas: &Canvas, rows: Vec<Row>) -> Self {
-        let mut number = vec![u32::MAX; canvas.value.len()];
-        rows.iter().flat_map(|row| &row.cells).for_each(|cell| number[cell.0 as usize] = 0);
-        let texels: Vec<usize> = (0..number.len()).filter(|&at| number[at] == 0).collect();
-        texels.iter().zip(0..).for_each(|(&at, n)| number[at] = n);
+        let mut read: Vec<u32> = rows.iter().flat_map(|row| row.cells.map(|cell| cell.0)).collect();
+        read.sort_unstable();
+        read.dedup();
+        let number = |at: u32| read.partition_point(|other| *other < at) as u32;
+        let rows = rows.into_iter().map(|row| row.cells.map(|(at, w)| (number(at), w))).collect();
+        let texels: Vec<usize> = read.iter().map(|&at| at as usize).collect();
         let trust = texels.iter().map(|&at| f64::from(canvas.trust[at])).collect();
-        let rows = rows.into_iter().map(|row| row.cells.map(|(at, w)| (number[at as usize], w))).collect();
         Self { texels, trust, rows }
     }
 

@@ -3,7 +3,7 @@
 use std::{
     collections::BTreeSet,
     fs,
-    io::{self, Write},
+    io::{self, Seek, Write},
     path::Path,
 };
 
@@ -24,6 +24,20 @@ pub fn write_atomic_with(path: &Path, fill: impl FnOnce(&mut fs::File) -> io::Re
 pub(crate) struct Staged<'a> {
     file: tempfile::NamedTempFile,
     path: &'a Path,
+}
+
+impl Staged<'_> {
+    /// Length and hash of what was written, read back so that it need not be held.
+    pub(crate) fn fingerprint(&mut self) -> Result<(u64, blake3::Hash), ExportError> {
+        let mut hash = || {
+            let mut hasher = blake3::Hasher::new();
+            let file = self.file.as_file_mut();
+            file.rewind()?;
+            hasher.update_reader(file)?;
+            Ok((hasher.count(), hasher.finalize()))
+        };
+        hash().map_err(|e| ExportError::io("read back", self.path, e))
+    }
 }
 
 /// The folder of a file.

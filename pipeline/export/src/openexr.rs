@@ -4,13 +4,18 @@
 //! scan lines in increasing order. Attributes: `software`, `luxel:unit`, `luxel:key` (the hash of what went into the
 //! bake). There is no date, so the same light gives the same bytes.
 
-use std::io::Cursor;
+use std::io::{self, Seek, Write};
 
+use exr::block::lines::LineRefMut;
+use exr::image::write::samples::{SamplesWriter, WritableSamples};
+use exr::math::RoundingMode;
+use exr::meta::{attribute::LevelMode, header::Header};
 use exr::prelude::{
-    AnyChannel, AnyChannels, Compression, Encoding, FlatSamples, Image, Layer, LayerAttributes, LineOrder, SmallVec,
+    AnyChannel, AnyChannels, Compression, Encoding, Image, Layer, LayerAttributes, LineOrder, SampleType, SmallVec,
     Text, WritableImage, f16,
 };
-use exr::{image::Blocks, meta::attribute::AttributeValue};
+use exr::{error::Error, image::Blocks, meta::attribute::AttributeValue};
+use glam::Vec3;
 
 use crate::{BoundMap, ExportError, Lightmap};
 
@@ -24,63 +29,178 @@ pub enum Depth {
     Half,
 }
 
-/// The bytes of a lightmap as EXR. `key` is the hash under which the bake is known, as hexadecimal digits.
-pub fn encode_exr(map: &Lightmap, depth: Depth, key: &str) -> Result<Vec<u8>, ExportError> {
-    let band = |c: usize| map.irradiance().iter().map(|e| e[c]).collect::<Vec<f32>>();
-    let channels = [("R", band(0)), ("G", band(1)), ("B", band(2)), ("A", map.coverage().to_vec())];
-    encode(map.width(), map.height(), channels.into(), depth, key)
+/// A page that is ready to become an EXR file. It borrows the page and copies lines of it while it is written, a few
+/// blocks of 16 at a time.
+pub struct Exr<'a>(Box<Image<Layer<AnyChannels<Plane<'a>>>>>);
+
+impl<'a> Exr<'a> {
+    /// A lightmap. `key` is the hash under which the bake is known, as hexadecimal digits.
+    ///
+    /// # Errors
+    /// Values that `depth` cannot hold, and a key that is not plain text.
+    pub fn lightmap(map: &'a Lightmap, depth: Depth, key: &str) -> Result<Self, ExportError> {
+        let band = |c: usize| Values::Band(map.irradiance(), c);
+        let channels = [("R", band(0)), ("G", band(1)), ("B", band(2)), ("A", Values::All(map.coverage()))];
+        Self::new([map.width(), map.height()], &channels, depth, key)
+    }
+
+    /// A bound image: one channel Y (lux).
+    ///
+    /// # Errors
+    /// As [`Exr::lightmap`].
+    pub fn bound(map: &'a BoundMap, depth: Depth, key: &str) -> Result<Self, ExportError> {
+        Self::new([map.width(), map.height()], &[("Y", Values::All(map.bound()))], depth, key)
+    }
+
+    fn new(size: [u32; 2], channels: &[(&str, Values<'a>)], depth: Depth, key: &str) -> Result<Self, ExportError> {
+        let [width, height] = size.map(|side| side as usize);
+        let mut list = SmallVec::new();
+        for &(name, values) in channels {
+            if depth == Depth::Half {
+                check_halves(name, values, width * height)?;
+            }
+            list.push(AnyChannel::new(name, Plane { values, width, depth }));
+        }
+        let mut attributes = LayerAttributes {
+            software_name: Some(Text::from(concat!("luxel ", env!("CARGO_PKG_VERSION")))),
+            ..LayerAttributes::default()
+        };
+        // The exr crate keeps custom attributes in hash maps, whose order changes from run to run. One attribute in
+        // each of its two maps has only one order.
+        attributes.other.insert(Text::from("luxel:unit"), AttributeValue::Text(Text::from("lux")));
+        let encoding =
+            Encoding { compression: Compression::ZIP16, blocks: Blocks::ScanLines, line_order: LineOrder::Increasing };
+        let layer = Layer::new((width, height), attributes, encoding, AnyChannels::sort(list));
+        let mut image = Image::from_layer(layer);
+        let key = Text::new_or_none(key).ok_or_else(|| ExportError::encode("EXR", "the key is not plain text"))?;
+        image.attributes.other.insert(Text::from("luxel:key"), AttributeValue::Text(key));
+        Ok(Self(Box::new(image)))
+    }
+
+    /// Writes the file; `out` stands at its beginning, and seeks pay when it is buffered.
+    ///
+    /// # Errors
+    /// Those of `out`; the encoder's own, of which none is known for an image that was made, as [`io::Error::other`].
+    pub fn write(&self, out: &mut (impl Write + Seek)) -> io::Result<()> {
+        let written = self.0.write().to_buffered(&mut *out);
+        written.map_err(|error| match error {
+            Error::Io(error) => error,
+            other => io::Error::other(other),
+        })?;
+        out.flush()
+    }
 }
 
-/// The bytes of a bound image as EXR, one channel Y (lux).
-pub fn encode_bound_exr(map: &BoundMap, depth: Depth, key: &str) -> Result<Vec<u8>, ExportError> {
-    encode(map.width(), map.height(), vec![("Y", map.bound().to_vec())], depth, key)
+/// The values of one channel of a page, row-major.
+#[derive(Clone, Copy)]
+enum Values<'a> {
+    Band(&'a [Vec3], usize),
+    All(&'a [f32]),
 }
 
-fn encode(
-    width: u32,
-    height: u32,
-    channels: Vec<(&str, Vec<f32>)>,
+impl Values<'_> {
+    fn at(self, i: usize) -> f32 {
+        match self {
+            Self::Band(colours, band) => colours[i][band],
+            Self::All(values) => values[i],
+        }
+    }
+}
+
+fn check_halves(name: &str, values: Values, count: usize) -> Result<(), ExportError> {
+    match (0..count).map(|i| values.at(i)).find(|v| !f16::from_f32(*v).is_finite()) {
+        Some(v) => {
+            let fault = format!("channel {name} holds {v} lux, above the 65504 of half floats: use 32 bit");
+            Err(ExportError::encode("EXR", fault))
+        }
+        None => Ok(()),
+    }
+}
+
+/// A channel as the encoder asks for it, line by line.
+#[derive(Clone, Copy)]
+struct Plane<'a> {
+    values: Values<'a>,
+    width: usize,
     depth: Depth,
-    key: &str,
-) -> Result<Vec<u8>, ExportError> {
-    let mut list = SmallVec::new();
-    for (name, values) in channels {
-        list.push(AnyChannel::new(name, samples(name, values, depth)?));
-    }
-    let mut attributes = LayerAttributes {
-        software_name: Some(Text::from(concat!("luxel ", env!("CARGO_PKG_VERSION")))),
-        ..LayerAttributes::default()
-    };
-    // The exr crate keeps custom attributes in hash maps, whose order changes from run to run. One attribute in each
-    // of its two maps has only one order.
-    attributes.other.insert(Text::from("luxel:unit"), AttributeValue::Text(Text::from("lux")));
-    let encoding =
-        Encoding { compression: Compression::ZIP16, blocks: Blocks::ScanLines, line_order: LineOrder::Increasing };
-    let size = (width as usize, height as usize);
-    let mut image = Image::from_layer(Layer::new(size, attributes, encoding, AnyChannels::sort(list)));
-    let key = Text::new_or_none(key).ok_or_else(|| ExportError::encode("EXR", "the key is not plain text"))?;
-    image.attributes.other.insert(Text::from("luxel:key"), AttributeValue::Text(key));
-    let mut bytes = Cursor::new(Vec::new());
-    image.write().to_buffered(&mut bytes).map_err(|e| ExportError::encode("EXR", e))?;
-    Ok(bytes.into_inner())
 }
 
-fn samples(name: &str, values: Vec<f32>, depth: Depth) -> Result<FlatSamples, ExportError> {
-    if depth == Depth::Float {
-        return Ok(FlatSamples::F32(values));
+impl<'s> WritableSamples<'s> for Plane<'_> {
+    type Writer = Self;
+
+    fn sample_type(&self) -> SampleType {
+        match self.depth {
+            Depth::Float => SampleType::F32,
+            Depth::Half => SampleType::F16,
+        }
     }
-    if let Some(v) = values.iter().find(|v| !f16::from_f32(**v).is_finite()) {
-        let fault = format!("channel {name} holds {v} lux, above the 65504 of half floats: use 32 bit");
-        return Err(ExportError::encode("EXR", fault));
+
+    fn infer_level_modes(&self) -> (LevelMode, RoundingMode) {
+        (LevelMode::Singular, RoundingMode::Down)
     }
-    Ok(FlatSamples::F16(values.into_iter().map(f16::from_f32).collect()))
+
+    fn create_samples_writer(&'s self, _: &Header) -> Self {
+        *self
+    }
+}
+
+impl SamplesWriter for Plane<'_> {
+    fn extract_line(&self, line: LineRefMut) {
+        let start = line.location.position.y() * self.width + line.location.position.x();
+        let written = match self.depth {
+            Depth::Float => line.write_samples(|i| self.values.at(start + i)),
+            Depth::Half => line.write_samples(|i| f16::from_f32(self.values.at(start + i))),
+        };
+        written.expect("a line has room for its samples");
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use exr::prelude::read_first_flat_layer_from_file;
-    use glam::Vec3;
+    use std::io::Cursor;
+
+    fn encode_exr(map: &Lightmap, depth: Depth, key: &str) -> Result<Vec<u8>, ExportError> {
+        Ok(bytes(&Exr::lightmap(map, depth, key)?))
+    }
+
+    fn bytes(exr: &Exr) -> Vec<u8> {
+        let mut bytes = Cursor::new(Vec::new());
+        exr.write(&mut bytes).unwrap();
+        bytes.into_inner()
+    }
+
+    /// Takes a number of bytes and fails then.
+    struct Full(Cursor<Vec<u8>>, usize);
+
+    impl Write for Full {
+        fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+            self.0.write(bytes)
+        }
+        fn flush(&mut self) -> io::Result<()> {
+            if self.0.get_ref().len() > self.1 { Err(io::Error::other("disk full")) } else { Ok(()) }
+        }
+    }
+
+    impl Seek for Full {
+        fn seek(&mut self, to: io::SeekFrom) -> io::Result<u64> {
+            self.0.seek(to)
+        }
+    }
+
+    #[test]
+    fn what_the_file_cannot_take_is_an_error_even_at_the_last_flush() {
+        let map = map(1.0);
+        let exr = Exr::lightmap(&map, Depth::Float, "k").unwrap();
+        let length = bytes(&exr).len();
+        exr.write(&mut Full(Cursor::default(), length)).unwrap();
+        let error = exr.write(&mut Full(Cursor::default(), length - 1)).unwrap_err().to_string();
+        assert!(error.contains("disk full"), "{error}");
+        // A file that is too small fails in the middle, whatever the encoder still holds.
+        let mut short = vec![0; length / 2];
+        assert!(exr.write(&mut Cursor::new(&mut short[..])).is_err());
+    }
 
     fn map(scale: f32) -> Lightmap {
         let e = (0..35).map(|i| Vec3::new(i as f32, 0.1 * i as f32, 1e-12) * scale).collect();
@@ -143,7 +263,7 @@ mod tests {
     #[test]
     fn a_bound_has_one_band() {
         let bound = BoundMap::new(2, 1, vec![0.5, 2e5]).unwrap();
-        let bytes = encode_bound_exr(&bound, Depth::Float, "k").unwrap();
+        let bytes = bytes(&Exr::bound(&bound, Depth::Float, "k").unwrap());
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("bound.exr");
         crate::write_atomic(&path, &bytes).unwrap();

@@ -1,14 +1,14 @@
 //! Where the files of a bake go, what they are called, and in which order they appear.
 
 use std::{
-    borrow::Cow,
-    fs, io,
+    fs,
+    io::{self, Write},
     path::{Path, PathBuf},
 };
 
 use crate::{
     BoundMap, Depth, ExportError, Lightmap, atomic,
-    openexr::{encode_bound_exr, encode_exr},
+    openexr::Exr,
     report::{Output, Report},
 };
 
@@ -25,7 +25,7 @@ pub struct OutputSet {
     stem: String,
 }
 
-/// What is to be written. Everything is finished before the first file is touched.
+/// What is to be written.
 pub struct Files<'a> {
     pub lightmaps: &'a [Lightmap],
     /// Empty, or one image per page.
@@ -134,44 +134,53 @@ impl OutputSet {
 
     /// Writes images, glb, and last the report, which thereby lists the hashes of all the others. All files are
     /// complete and on the disk under temporary names before the first takes its place: when one cannot be written, all
-    /// old ones stay. Images of an earlier bake that this one has not (other pages, no bound, no preview) are removed
-    /// last.
+    /// old ones stay. They are encoded one after the other, straight into their files. Images of an earlier bake that
+    /// this one has not (other pages, no bound, no preview) are removed last.
     pub fn write(&self, files: &Files, report: &mut Report) -> Result<(), ExportError> {
-        self.write_by(files, report, io::Write::write_all)
+        self.write_by(files, report, |content, file| content.write(file))
     }
 
     fn write_by(
         &self,
         files: &Files,
         report: &mut Report,
-        mut fill: impl FnMut(&mut fs::File, &[u8]) -> io::Result<()>,
+        mut fill: impl FnMut(&Content, &mut fs::File) -> io::Result<()>,
     ) -> Result<(), ExportError> {
-        let pages = files.lightmaps.len();
-        let mut ready: Vec<(PathBuf, Cow<[u8]>)> = Vec::new();
-        for (i, map) in files.lightmaps.iter().enumerate() {
-            ready.push((self.lightmap(i, pages), encode_exr(map, files.depth, files.key)?.into()));
-        }
-        for (i, map) in files.bounds.iter().enumerate() {
-            ready.push((self.bound(i, pages), encode_bound_exr(map, files.depth, files.key)?.into()));
-        }
-        if let Some(png) = files.preview_png {
-            ready.push((self.preview(), png.into()));
-        }
-        ready.push((self.glb(), files.glb.into()));
-        report.outputs = ready.iter().map(|(path, bytes)| output(path, bytes)).collect();
-        let json = report.to_json()?;
-        ready.push((self.report(), json.into()));
-        let names: Vec<&PathBuf> = ready.iter().map(|(path, _)| path).collect();
+        let (contents, report_path) = (self.contents(files)?, self.report());
+        let names: Vec<&PathBuf> = contents.iter().map(|(path, _)| path).chain([&report_path]).collect();
         let stale = self.stale(&names)?;
         let mut staged = Vec::new();
-        for (path, bytes) in &ready {
-            staged.push(atomic::stage(path, |file| fill(file, bytes))?);
+        report.outputs.clear();
+        for (path, content) in &contents {
+            let mut file = atomic::stage(path, |file| fill(content, file))?;
+            report.outputs.push(output(path, file.fingerprint()?));
+            staged.push(file);
         }
+        let json = Content::Bytes(&report.to_json()?);
+        staged.push(atomic::stage(&report_path, |file| fill(&json, file))?);
         atomic::persist(staged)?;
         for path in stale {
             std::fs::remove_file(&path).map_err(|e| ExportError::io("remove the outdated", &path, e))?;
         }
         Ok(())
+    }
+
+    /// All files but the report, in the order of writing. What an image cannot hold is seen here, before the first is
+    /// written.
+    fn contents<'a>(&self, files: &Files<'a>) -> Result<Vec<(PathBuf, Content<'a>)>, ExportError> {
+        let pages = files.lightmaps.len();
+        let mut contents = Vec::new();
+        for (i, map) in files.lightmaps.iter().enumerate() {
+            contents.push((self.lightmap(i, pages), Content::Exr(Exr::lightmap(map, files.depth, files.key)?)));
+        }
+        for (i, map) in files.bounds.iter().enumerate() {
+            contents.push((self.bound(i, pages), Content::Exr(Exr::bound(map, files.depth, files.key)?)));
+        }
+        if let Some(png) = files.preview_png {
+            contents.push((self.preview(), Content::Bytes(png)));
+        }
+        contents.push((self.glb(), Content::Bytes(files.glb)));
+        Ok(contents)
     }
 
     /// Lightmap, bound and preview images in the folder that bear this stem's name and are not among `current`.
@@ -221,11 +230,26 @@ pub fn is_output(path: &Path) -> bool {
     read.is_some_and(|r| r.outputs.iter().any(|o| path.file_name().is_some_and(|n| n == o.path.as_str())))
 }
 
-fn output(path: &Path, bytes: &[u8]) -> Output {
+/// What a file is to hold.
+enum Content<'a> {
+    Exr(Exr<'a>),
+    Bytes(&'a [u8]),
+}
+
+impl Content<'_> {
+    fn write(&self, file: &mut fs::File) -> io::Result<()> {
+        match self {
+            Self::Exr(exr) => exr.write(&mut io::BufWriter::new(file)),
+            Self::Bytes(bytes) => file.write_all(bytes),
+        }
+    }
+}
+
+fn output(path: &Path, (bytes, hash): (u64, blake3::Hash)) -> Output {
     Output {
         path: path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default(),
-        bytes: bytes.len() as u64,
-        blake3: blake3::hash(bytes).to_hex().to_string(),
+        bytes,
+        blake3: hash.to_hex().to_string(),
     }
 }
 
@@ -235,7 +259,6 @@ mod tests {
     use crate::atomic::tests::names;
     use crate::report::SceneInfo;
     use glam::Vec3;
-    use std::fs;
 
     fn write(set: &OutputSet, pages: usize) -> Report {
         let map = Lightmap::new(2, 1, vec![Vec3::ONE; 2], vec![1.0; 2]).unwrap();
@@ -347,9 +370,11 @@ mod tests {
         };
         let write_until = |last: usize| {
             let mut count = 0;
-            set.write_by(&files, &mut Report::new(SceneInfo::default()), |file, bytes| {
+            set.write_by(&files, &mut Report::new(SceneInfo::default()), |content, file| {
                 count += 1;
-                io::Write::write_all(file, &bytes[..bytes.len() / 2])?;
+                content.write(file)?;
+                // Half of it is on the disk.
+                file.set_len(file.metadata()?.len() / 2)?;
                 if count > last { Err(io::Error::other("disk full")) } else { Ok(()) }
             })
         };

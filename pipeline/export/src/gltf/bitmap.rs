@@ -16,7 +16,8 @@ pub fn png(map: &Lightmap, intensity: f32) -> Result<Vec<u8>, ExportError> {
         let threshold = threshold(x, y);
         e.to_array().map(|e| byte(e, threshold))
     };
-    let texels = map.irradiance().iter().zip(places).map(texel).collect();
+    let mut texels = Vec::with_capacity(map.irradiance().len());
+    texels.extend(map.irradiance().iter().zip(places).map(texel));
     encode_png(&Image8 { width: map.width(), height: map.height(), texels })
 }
 

@@ -74,7 +74,14 @@ impl Pictures {
 
 /// For each instance the largest band of each of its texels, rising.
 fn peaks(atlas: &Atlas, lightmaps: &[Lightmap]) -> Vec<Vec<f32>> {
-    let mut peaks = vec![Vec::new(); atlas.placed.len()];
+    let mut counts = vec![0; atlas.placed.len()];
+    for texel in &atlas.texels {
+        if let Some(count) = counts.get_mut(atlas.chart(texel).instance as usize) {
+            *count += 1;
+        }
+    }
+    // Nothing moves while they are filled.
+    let mut peaks: Vec<Vec<f32>> = counts.into_iter().map(Vec::with_capacity).collect();
     for texel in &atlas.texels {
         let chart = atlas.chart(texel);
         let map = lightmaps.get(chart.page as usize).filter(|map| u32::from(texel.x) < map.width());
@@ -84,7 +91,7 @@ fn peaks(atlas: &Atlas, lightmaps: &[Lightmap]) -> Vec<Vec<f32>> {
             peaks.push(light.max_element());
         }
     }
-    peaks.iter_mut().for_each(|peaks| peaks.sort_by(f32::total_cmp));
+    peaks.iter_mut().for_each(|peaks| peaks.sort_unstable_by(f32::total_cmp));
     peaks
 }
 
@@ -92,7 +99,7 @@ fn peaks(atlas: &Atlas, lightmaps: &[Lightmap]) -> Vec<Vec<f32>> {
 fn whole(map: &Lightmap) -> f32 {
     let covered = map.irradiance().iter().zip(map.coverage()).filter(|(_, c)| **c > 0.0);
     let mut peaks: Vec<f32> = covered.map(|(e, _)| e.max_element()).collect();
-    peaks.sort_by(f32::total_cmp);
+    peaks.sort_unstable_by(f32::total_cmp);
     range(&peaks)
 }
 

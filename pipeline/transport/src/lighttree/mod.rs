@@ -21,7 +21,6 @@
 //! There are two trees: *indirect* over all surfels (B = ρE, dark ones included: they cover part of the hemisphere,
 //! which the control variate of [`crate::gather::lightcuts`] needs to know), and *direct* over samples of emissive
 //! surfaces. The root that joins them is no useful cluster, so a cut starts with both trees' own roots.
-
 //!
 //! **Memory.** A tree over surfels has as many clusters as surfels, so it keeps little of each: lights are made from their
 //! surfels when they are looked at, a node of two lights is made from them, and who represents a small node is one bit a

@@ -39,6 +39,10 @@ use planes::Planes;
 use sample::Sample;
 use turns::Turns;
 
+/// Lines for each surfel, at most, of all directions that are swept at once: 64 bytes. Across a terrain, a single
+/// direction has as many lines as there are surfels.
+const MOST_LINES: usize = 4;
+
 /// Who sees whom on a discrete line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
 pub enum Rule {
@@ -114,7 +118,6 @@ impl<'a> Sweep<'a> {
         progress: &dyn Progress,
     ) -> Result<Vec<Rgb>, Cancelled> {
         let mut sums = vec![S::default(); radiosity.len()];
-        let mut workspaces: Vec<_> = (0..rayon::current_num_threads().max(1)).map(|_| Workspace::default()).collect();
         for axis in 0..3 {
             let mine = along(directions, axis, sky);
             if mine.is_empty() || radiosity.is_empty() {
@@ -126,6 +129,8 @@ impl<'a> Sweep<'a> {
             let copy = AxisCopy::new(self.surfels, &self.planes, axis, order);
             let turns =
                 Turns::new(&mut sorted, copy.parts.windows(2).map(|p| p[0].start as usize..p[1].start as usize));
+            let flights = rayon::current_num_threads().min(MOST_LINES * copy.len() / copy.cells() as usize).max(1);
+            let mut workspaces: Vec<_> = (0..flights).map(|_| Workspace::default()).collect();
             workspaces.par_iter_mut().try_for_each(|workspace| {
                 turns.take(mine.len(), |turn| {
                     progress.check()?;
@@ -140,7 +145,7 @@ impl<'a> Sweep<'a> {
                     Ok(())
                 })
             })?;
-            drop(copy);
+            drop((copy, workspaces));
             sums = unsorted(order, sorted.iter().copied());
             drop(sorted);
             radiosity = unsorted(order, light.iter().map(|&light| S::radiosity(light)));
