@@ -333,6 +333,11 @@ impl Book {
         self.index();
     }
 
+    /// Nothing has been baked for a scene by this watch, so its outputs may be those of an earlier run.
+    pub fn is_fresh(&self, scene: &Path) -> bool {
+        self.items.get(scene).is_some_and(|item| item.baked.is_none())
+    }
+
     /// A scene cannot be baked as `look` saw it.
     pub fn failed_as(&mut self, scene: &Path, look: Look, fault: Fault) {
         if let Some(item) = self.items.get_mut(scene) {
