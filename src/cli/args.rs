@@ -23,15 +23,17 @@ A scene is left alone when its report says that it was baked from the same bytes
 luxel, and when all its outputs are as they were written; --force bakes it all the same.
 
 Events of --json, one object per line, with their fields:
-  unchanged    scene, outputs                 left alone: its outputs are current
-  stale        scene, reasons                 they are not; each reason has a code and a message
-  started      scene, stage, total            then progress (also done) and finished (seconds) of the stage
-  plan         scene, plan, unchanged, stale  of luxel plan; stale holds the reasons
+  unchanged    scene, outputs                     left alone: its outputs are current
+  stale        scene, reasons                     they are not; each reason has a code and a message
+  started      scene, stage, total                a stage begins
+  progress     scene, stage, done, total
+  finished     scene, stage, seconds
+  plan         scene, plan, unchanged, stale      of luxel plan; stale holds the reasons
   baked        scene, seconds, outputs, quality, warnings
-  failed       scene, error, causes           its last good outputs stay
-  done         scenes, failed, unchanged, stale     the last event: a number, and lists of scenes
-  interrupted  scene, failed                  the last event after Ctrl-C
-  usage        error, causes                  the last event of a command line that could not be followed
+  failed       scene, error, causes               its last good outputs stay
+  done         scenes, failed, unchanged, stale   the last event: a number, and lists of scenes
+  interrupted  scene, failed                      the last event after Ctrl-C
+  usage        error, causes                      the last event of a command line that could not be followed
 
 Exit codes: 0 done, 1 some scenes failed, 2 wrong usage, 3 --check found something stale (and nothing failed), 130
 interrupted.";

@@ -13,6 +13,8 @@ use std::sync::mpsc::{Receiver, Sender};
 use std::thread::Scope;
 use std::time::{Duration, Instant};
 
+use luxel_scene::Silent;
+
 use super::batch::{Batch, Hint, Hints};
 use super::book::Book;
 use super::depend::Look;
@@ -22,7 +24,6 @@ use super::source::Watched;
 use super::{Baker, Ending, Finished, Message, Task, Watch};
 use crate::current::{self, State};
 use crate::{Error, Request};
-use luxel_scene::Silent;
 
 /// An error that nothing has contradicted for this time is told.
 const SETTLED: Duration = Duration::from_millis(400);
