@@ -299,6 +299,68 @@ fn settings_count_by_their_values() {
     bench.end();
 }
 
+#[test]
+fn a_named_scene_that_was_away_is_found_when_it_is_back() {
+    let mut bench = Bench::new(&["a.gltf"], None, |folder| furnish(folder, "a"));
+    for _ in 0..3 {
+        std::fs::remove_file(bench.at("a.gltf")).unwrap();
+        bench.wait("removed", |e| matches!(e, Event::Removed { .. }));
+        bench.idle();
+        std::fs::write(bench.at("a.gltf"), gltf("a", 0)).unwrap();
+        bench.wait("found", |e| matches!(e, Event::Found { .. }));
+        bench.settle("a.gltf");
+    }
+    assert_eq!(bench.bakes(), 1, "it is what it was");
+    bench.end();
+}
+
+/// Bakes a scene as the tool does, before anybody watches it.
+fn bake_before(scene: &Path) {
+    let settings = luxel::settings::Layer::new(luxel::settings::Origin::CommandLine);
+    let settings = luxel::settings::for_scene(scene, None, &settings).unwrap();
+    let outputs = luxel_export::OutputSet::new(scene, None, None).unwrap();
+    let request = luxel::Request { scene: scene.into(), outputs, settings, worker: None };
+    luxel::bake(&request, &luxel_scene::Silent).unwrap();
+}
+
+#[test]
+fn what_is_current_at_the_start_is_not_baked_and_what_is_not_is() {
+    let names = ["levels/a", "levels/b", "levels/c"];
+    let mut bench = Bench::new(&["levels"], None, |folder| {
+        names.iter().for_each(|name| furnish(folder, name));
+        std::fs::write(folder.join("levels/luxel.toml"), "size = 32").unwrap();
+        names.iter().for_each(|name| bake_before(&folder.join(format!("{name}.gltf"))));
+        std::fs::write(folder.join("levels/b.bin"), corners(5)).unwrap();
+        std::fs::write(folder.join("levels/baked/c.lightmap.exr"), "torn").unwrap();
+    });
+    assert_eq!((bench.attempts(), bench.bakes()), (2, 2), "b and c");
+    bench.settle("levels/a.gltf");
+    bench.settle("levels/a.bin");
+    assert_eq!(bench.attempts(), 2);
+    // It is watched by what the report says that it was made from.
+    std::fs::write(bench.at("levels/a.bin"), corners(1)).unwrap();
+    bench.baked("levels/a.gltf");
+    bench.settle("levels/a.bin");
+    assert_eq!(bench.bakes(), 3);
+    bench.end();
+}
+
+#[test]
+fn a_scene_that_is_broken_at_the_start_and_then_what_was_baked_is_current() {
+    let mut bench = Bench::new(&["a.gltf"], None, |folder| {
+        furnish(folder, "a");
+        std::fs::write(folder.join("luxel.toml"), "size = 32").unwrap();
+        bake_before(&folder.join("a.gltf"));
+        std::fs::write(folder.join("a.gltf"), "{ \"asset\"").unwrap();
+    });
+    assert_eq!((bench.attempts(), bench.bakes()), (1, 0));
+    std::fs::write(bench.at("a.gltf"), gltf("a", 0)).unwrap();
+    bench.wait("current", |e| matches!(e, Event::Current { .. }));
+    assert!(bench.idle().is_empty());
+    assert_eq!(bench.attempts(), 1);
+    bench.end();
+}
+
 /// A running `luxel watch --json`.
 struct Tool {
     child: Child,

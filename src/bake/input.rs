@@ -1,6 +1,6 @@
 //! From files to a scene, and from settings to what the rooms ask for.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use luxel_atlas::AtlasSettings;
 use luxel_export::Original;
@@ -10,6 +10,7 @@ use crate::Error;
 use crate::plan::{Plan, Stage};
 use crate::settings::{FIELDS, Settings, SkySetting};
 use crate::store::Key;
+use crate::watch::depend::{Content, named};
 
 /// Reads the scene, what of its file the export will write again, and plans the bake.
 ///
@@ -72,11 +73,22 @@ fn sky(scene: &mut Scene, settings: &Settings) -> Result<Sky, Error> {
     })
 }
 
-/// Every file that a bake read, each once.
-pub fn all(scene: &Scene, original: &Original) -> Vec<InputFile> {
-    let mut inputs = scene.inputs.clone();
-    inputs.extend(original.inputs().iter().filter(|i| !scene.inputs.contains(i)).cloned());
-    inputs
+/// The files of a bake.
+pub struct Inputs {
+    /// Those that were read, each once, the scene's own first.
+    pub read: Vec<InputFile>,
+    /// Those that the scene names and that cannot be read.
+    pub missing: Vec<PathBuf>,
+}
+
+impl Inputs {
+    pub fn new(path: &Path, scene: &Scene, original: &Original) -> Self {
+        let mut read = scene.inputs.clone();
+        read.extend(original.inputs().iter().filter(|i| !scene.inputs.contains(i)).cloned());
+        let is_missing = |file: &PathBuf| !read.iter().any(|i| i.path == *file) && !Content::of(file).is_read();
+        let missing = named(path).into_iter().filter(is_missing).collect();
+        Self { read, missing }
+    }
 }
 
 pub fn atlas_settings(settings: &Settings) -> AtlasSettings {

@@ -28,6 +28,7 @@ use crate::settings::{Resolved, Settings};
 use journal::Journal;
 use light::Parts;
 pub use light::TexelLight;
+pub(crate) use report::{json_form, versions};
 
 /// What to bake, where to, and how.
 #[derive(Clone, Debug)]
@@ -95,8 +96,8 @@ fn run(request: &Request, progress: &dyn Progress) -> Result<Baked, Error> {
     })?;
     journal.explain(Stage::Import, plan.reason(Stage::Import));
     plan.warnings.extend(memory::check(&plan.least_memory(settings))?);
-    // The number of threads changes no byte.
-    let key = input::key(&scene, settings, &Stage::ALL, |name| name != "threads");
+    let inputs = input::Inputs::new(&request.scene, &scene, &original);
+    let key = input::key(&scene, settings, &Stage::ALL, matters);
     let geometry = Geometry::new(&scene);
     export::probe(&request.outputs)?;
     let store = transport::Store::new(&request.outputs, &scene, settings);
@@ -109,7 +110,7 @@ fn run(request: &Request, progress: &dyn Progress) -> Result<Baked, Error> {
     };
     let picture = export::preview(&geometry, rays.as_ref(), &plan, &lit, &mut journal)?;
     drop(rays);
-    let mut report = report::start(&scene, &plan, &request.settings);
+    let mut report = report::start(&scene, &inputs, &plan, &request.settings);
     let glb = export::glb(request, &original, &scene, &plan, &lit, &mut report, &mut journal)?;
     report::fill(&mut report, &scene, settings, &plan, &lit, &journal, start.elapsed().as_secs_f64());
     // From here on the old files are replaced.
@@ -117,8 +118,12 @@ fn run(request: &Request, progress: &dyn Progress) -> Result<Baked, Error> {
     // Beside the encoders lives what they read.
     let Lit { lightmaps, bounds, .. } = lit;
     let files = export::write(&request.outputs, (&lightmaps, &bounds), picture.as_deref(), &glb, &key, &mut report)?;
-    let inputs = input::all(&scene, &original);
-    Ok(Baked { report, files, inputs, seconds: start.elapsed().as_secs_f64() })
+    Ok(Baked { report, files, inputs: inputs.read, seconds: start.elapsed().as_secs_f64() })
+}
+
+/// Whether the result depends on the setting of this name: the number of threads changes no byte.
+pub(crate) fn matters(setting: &str) -> bool {
+    setting != "threads"
 }
 
 /// Bakes a scene in memory: atlas, light at texels, finished images; no file is read or written.
@@ -224,7 +229,7 @@ fn with_threads<T: Send>(settings: &Settings, work: impl FnOnce() -> Result<T, E
 
 /// The boundary of one scene: a panic within it, be it in a decoder that a file has upset, is that scene's error. What
 /// `work` was about to make is lost; files are only ever replaced whole, so none is left half written.
-fn guarded<T>(work: impl FnOnce() -> Result<T, Error>) -> Result<T, Error> {
+pub(crate) fn guarded<T>(work: impl FnOnce() -> Result<T, Error>) -> Result<T, Error> {
     std::panic::catch_unwind(AssertUnwindSafe(work)).unwrap_or_else(|panic| {
         let text = panic.downcast_ref::<&str>().copied().or(panic.downcast_ref::<String>().map(String::as_str));
         Err(Error::Internal { what: text.unwrap_or("a panic without a message").into() })

@@ -1,11 +1,14 @@
 //! The bake's report: what ran, why, how long, and by which figures the result can be judged.
 
+use std::collections::BTreeMap;
+
 use luxel_atlas::AtlasReport;
-use luxel_export::report::{EnergyLedger, Input, Report, SceneInfo, Setting, Table1, Warning};
+use luxel_export::report::{EnergyLedger, Input, Report, SceneInfo, Setting, Table1, Warning, written};
 use luxel_scene::Scene;
 use serde_json::Value as Json;
 
 use super::Lit;
+use super::input::Inputs;
 use super::journal::Journal;
 use super::light::Sums;
 use super::record::Record;
@@ -14,14 +17,13 @@ use crate::settings::{Resolved, Settings};
 use crate::store::OCTREE;
 
 /// The part that is known before the bake.
-pub fn start(scene: &Scene, plan: &Plan, settings: &Resolved) -> Report {
-    let inputs = scene.inputs.iter().map(Input::from).collect();
-    let mut report = Report::new(SceneInfo { name: scene.name.clone(), inputs });
-    report.versions.insert("luxel".into(), env!("CARGO_PKG_VERSION").into());
-    report.versions.insert("octree file".into(), OCTREE.version.to_string());
-    for stage in Stage::ALL {
-        report.versions.insert(stage.name().into(), stage.version().to_string());
-    }
+pub fn start(scene: &Scene, inputs: &Inputs, plan: &Plan, settings: &Resolved) -> Report {
+    let mut report = Report::new(SceneInfo {
+        name: scene.name.clone(),
+        inputs: inputs.read.iter().map(Input::from).collect(),
+        missing: Some(inputs.missing.iter().map(|path| written(path)).collect()),
+    });
+    report.versions = versions();
     report.settings = settings
         .list()
         .map(|(field, value, origin)| Setting {
@@ -34,8 +36,15 @@ pub fn start(scene: &Scene, plan: &Plan, settings: &Resolved) -> Report {
     report
 }
 
+/// The versions of everything that decides a result.
+pub fn versions() -> BTreeMap<String, String> {
+    let own = [("luxel", env!("CARGO_PKG_VERSION").into()), ("octree file", OCTREE.version.to_string())];
+    let stages = Stage::ALL.iter().map(|stage| (stage.name(), stage.version().to_string()));
+    own.into_iter().chain(stages).map(|(name, version)| (name.into(), version)).collect()
+}
+
 /// Numbers, booleans and lists of numbers as such, everything else as text.
-fn json_form(value: &str) -> Json {
+pub fn json_form(value: &str) -> Json {
     let plain = |text: &str| match serde_json::from_str(text) {
         Ok(json @ (Json::Number(_) | Json::Bool(_))) => Some(json),
         _ => None,

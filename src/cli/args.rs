@@ -15,15 +15,34 @@ Examples:
   luxel bake level.glb --sky 300,400,600        with a blue sky of 300..600 cd/m²
   luxel bake level.glb --sky noon.hdr           with an image as the sky
   luxel bake levels/ --out lit/                 every scene below a folder
+  luxel bake levels/ --check                    bakes nothing; exit code 3 when a lightmap is not current
   luxel plan level.glb                          what would run, and why
   luxel watch levels/                           bakes, and again whatever is saved
 
-Exit codes: 0 done, 1 some scenes failed, 2 wrong usage, 130 interrupted.";
+A scene is left alone when its report says that it was baked from the same bytes, with the same settings, by the same
+luxel, and when all its outputs are as they were written; --force bakes it all the same.
+
+Events of --json, one object per line, with their fields:
+  unchanged    scene, outputs                     left alone: its outputs are current
+  stale        scene, reasons                     they are not; each reason has a code and a message
+  started      scene, stage, total                a stage begins
+  progress     scene, stage, done, total
+  finished     scene, stage, seconds
+  plan         scene, plan, unchanged, stale      of luxel plan; stale holds the reasons
+  baked        scene, seconds, outputs, quality, warnings
+  failed       scene, error, causes               its last good outputs stay
+  done         scenes, failed, unchanged, stale   the last event: a number, and lists of scenes
+  interrupted  scene, failed                      the last event after Ctrl-C
+  usage        error, causes                      the last event of a command line that could not be followed
+
+Exit codes: 0 done, 1 some scenes failed, 2 wrong usage, 3 --check found something stale (and nothing failed), 130
+interrupted.";
 
 const WATCHING: &str = "\
-Bakes every scene, and again whenever a file changes that its last bake read: the .gltf or .glb, buffers, images, the
-sky, luxel.toml. A bake that is overtaken by a change stops and starts anew; a file that is saved without a change bakes
-nothing; a scene that cannot be baked says why and keeps its last lightmap. New scenes in watched folders are baked too.
+Bakes every scene whose outputs are not current, and again whenever a file changes that its last bake read: the .gltf or
+.glb, buffers, images, the sky, luxel.toml. A bake that is overtaken by a change stops and starts anew; a file that is
+saved without a change bakes nothing; a scene that cannot be baked says why and keeps its last lightmap. New scenes in
+watched folders are baked too.
 
 Examples:
   luxel watch level.glb --preset draft          lightmap anew after every save
@@ -45,7 +64,7 @@ Events of --json, one object per line, with their fields:
   overtaken  scene                   stopped, because its files changed; another bake follows
   baked      scene, seconds, outputs, quality, warnings
   failed     scene, error, causes    its last good outputs stay
-  current    scene                   broken before, now again as when it was baked
+  current    scene                   as when it was baked: at the start, or again after it was broken
   idle       scenes, failed          everything is as current as it can be
   stopped    scenes, failed          the last event
 
@@ -66,7 +85,7 @@ pub struct Cli {
 pub enum Task {
     /// Bake scenes: irradiance as .exr, the scene with its lightmap as .glb, a picture, and a report.
     #[command(after_help = EXAMPLES)]
-    Bake(Bake),
+    Bake(Baking),
     /// Bake scenes, and again whenever a file changes that they are made from.
     #[command(after_help = WATCHING)]
     Watch(Watch),
@@ -86,6 +105,18 @@ pub struct Bake {
     /// Folder for the outputs; subfolders of a scanned folder are mirrored [default: baked/ beside each scene]
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
+}
+
+#[derive(Debug, Args)]
+pub struct Baking {
+    #[command(flatten)]
+    pub bake: Bake,
+    /// Bake nothing and write nothing; exit with 3 when a scene's outputs are not what a bake would write, and say why
+    #[arg(long, conflicts_with = "force")]
+    pub check: bool,
+    /// Bake scenes too whose outputs are current
+    #[arg(long)]
+    pub force: bool,
 }
 
 #[derive(Debug, Args)]
@@ -179,7 +210,7 @@ mod tests {
 
     fn bake(line: &str) -> Result<Bake, clap::Error> {
         match Cli::try_parse_from(line.split(' '))?.task {
-            Task::Bake(bake) => Ok(bake),
+            Task::Bake(task) => Ok(task.bake),
             other => panic!("{other:?}"),
         }
     }

@@ -13,6 +13,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::Context;
 use clap::Parser;
+use luxel::current::{self, State};
 use luxel::discover::{self, Found, Search};
 use luxel::settings::{Layer, for_scene};
 use luxel::watch::Finished;
@@ -20,12 +21,14 @@ use luxel::{Error, Request};
 use luxel_export::{ExportError, OutputSet};
 use serde_json::json;
 
-use args::{Bake, Cli, Common, Task, Watch};
+use args::{Bake, Baking, Cli, Common, Task, Watch};
 use progress::{Reporter, Style, event, say};
 
 const DONE: u8 = 0;
 const SOME_FAILED: u8 = 1;
 const USAGE: u8 = 2;
+/// `--check` has found outputs that are not current.
+const STALE: u8 = 3;
 const INTERRUPTED: u8 = 130;
 
 /// Runs the command line of this process.
@@ -40,7 +43,7 @@ pub fn main() -> ExitCode {
             error.exit()
         }
     };
-    let json = matches!(&cli.task, Task::Bake(args) | Task::Plan(args) | Task::Watch(Watch { bake: args, .. }) if args.common.json);
+    let json = matches!(&cli.task, Task::Bake(Baking { bake: args, .. }) | Task::Plan(args) | Task::Watch(Watch { bake: args, .. }) if args.common.json);
     let code = match cli.task {
         Task::Bake(args) => bake(&args),
         Task::Plan(args) => plan(&args),
@@ -114,22 +117,30 @@ fn on_interrupt(mut work: impl FnMut() + Send + 'static) -> anyhow::Result<()> {
     ctrlc::set_handler(handler).context("cannot listen for Ctrl-C")
 }
 
-fn bake(args: &Bake) -> anyhow::Result<u8> {
-    let common = &args.common;
-    let task = prepare(common, args.out.as_deref())?;
-    let places = places(&task.found, args.out.as_deref())?;
+fn bake(args: &Baking) -> anyhow::Result<u8> {
+    let Bake { common, out } = &args.bake;
+    let task = prepare(common, out.as_deref())?;
+    let places = places(&task.found, out.as_deref())?;
     let worker = std::env::current_exe().ok();
     each(&task, places, |found, outputs, reporter| {
-        let request = Request {
-            scene: found.scene.clone(),
-            outputs,
-            settings: for_scene(&found.scene, task.config.as_ref(), &common.settings.0)?,
-            worker: worker.clone(),
-        };
+        let settings = for_scene(&found.scene, task.config.as_ref(), &common.settings.0)?;
+        if !args.force {
+            match current::check(&found.scene, &outputs, &settings, reporter)? {
+                State::Current(now) => {
+                    print::unchanged(task.style, &found.scene, &now.files);
+                    return Ok(End::Unchanged);
+                }
+                State::Stale(reasons) => print::stale(task.style, &found.scene, &reasons),
+            }
+        }
+        if args.check {
+            return Ok(End::Stale);
+        }
+        let request = Request { scene: found.scene.clone(), outputs, settings, worker: worker.clone() };
         let baked = luxel::bake(&request, reporter)?;
         reporter.finish();
         print::baked(task.style, &found.scene, Finished::from(baked).done);
-        Ok(())
+        Ok(End::Done)
     })
 }
 
@@ -140,10 +151,24 @@ fn plan(args: &Bake) -> anyhow::Result<u8> {
     each(&task, places, |found, outputs, reporter| {
         let settings = for_scene(&found.scene, task.config.as_ref(), &common.settings.0)?;
         let plan = luxel::plan_file(&found.scene, Some(&outputs), &settings.settings, reporter)?;
+        let state = current::check(&found.scene, &outputs, &settings, reporter)?;
         reporter.finish();
-        print::plan(task.style, &found.scene, &plan);
-        Ok(())
+        print::plan(task.style, &found.scene, &plan, &state);
+        Ok(match state {
+            State::Current(_) => End::Unchanged,
+            State::Stale(_) => End::Done,
+        })
     })
+}
+
+/// What became of a scene that did not fail.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum End {
+    Done,
+    /// Its outputs are current, so there was nothing to do.
+    Unchanged,
+    /// Its outputs are not current, and that was the question.
+    Stale,
 }
 
 /// Where a scene's files go, if there is such a place.
@@ -153,9 +178,9 @@ type Place = Result<OutputSet, ExportError>;
 fn each(
     task: &Job,
     places: Vec<Place>,
-    mut work: impl FnMut(&Found, OutputSet, &Reporter) -> Result<(), Error>,
+    mut work: impl FnMut(&Found, OutputSet, &Reporter) -> Result<End, Error>,
 ) -> anyhow::Result<u8> {
-    let mut failed: Vec<&PathBuf> = Vec::new();
+    let [mut failed, mut unchanged, mut stale]: [Vec<&PathBuf>; 3] = Default::default();
     for (path, error) in &task.missing {
         print::failed(task.style, path, error);
         failed.push(path);
@@ -169,7 +194,9 @@ fn each(
         let done = place.map_err(Error::from).and_then(|outputs| work(found, outputs, &reporter));
         reporter.finish();
         match done {
-            Ok(()) => {}
+            Ok(End::Done) => {}
+            Ok(End::Unchanged) => unchanged.push(&found.scene),
+            Ok(End::Stale) => stale.push(&found.scene),
             Err(Error::Cancelled) => {
                 match task.style {
                     Style::Json => {
@@ -179,7 +206,7 @@ fn each(
                     Style::Quiet => {}
                     Style::Lines | Style::Bar => say(&format!("interrupted; {name} is not baked")),
                 }
-                name_failed(task, &failed);
+                name_all(task, &failed, "failed");
                 return Ok(INTERRUPTED);
             }
             Err(error) => {
@@ -189,21 +216,34 @@ fn each(
         }
     }
     if task.style == Style::Json {
-        event(&json!({ "event": "done", "scenes": task.scenes(), "failed": written(&failed) }));
+        event(&json!({
+            "event": "done",
+            "scenes": task.scenes(),
+            "failed": written(&failed),
+            "unchanged": written(&unchanged),
+            "stale": written(&stale),
+        }));
     }
-    name_failed(task, &failed);
-    Ok(if failed.is_empty() { DONE } else { SOME_FAILED })
+    if task.style != Style::Quiet {
+        name_all(task, &stale, "are stale");
+    }
+    name_all(task, &failed, "failed");
+    Ok(match (failed.is_empty(), stale.is_empty()) {
+        (false, _) => SOME_FAILED,
+        (true, false) => STALE,
+        (true, true) => DONE,
+    })
 }
 
 fn written(scenes: &[&PathBuf]) -> Vec<String> {
     scenes.iter().map(|scene| print::written(scene)).collect()
 }
 
-/// For a person, whose screen may have lost what was said when they failed.
-fn name_failed(task: &Job, failed: &[&PathBuf]) {
-    if task.style != Style::Json && !failed.is_empty() && task.scenes() > 1 {
-        say(&format!("{} of {} scenes failed:", failed.len(), task.scenes()));
-        for scene in failed {
+/// For a person, whose screen may have lost what was said when the scenes `fared` so.
+fn name_all(task: &Job, scenes: &[&PathBuf], fared: &str) {
+    if task.style != Style::Json && !scenes.is_empty() && task.scenes() > 1 {
+        say(&format!("{} of {} scenes {fared}:", scenes.len(), task.scenes()));
+        for scene in scenes {
             say(&format!("  {}", scene.display()));
         }
     }
@@ -262,7 +302,11 @@ mod tests {
         let mut done = Vec::new();
         let code = each(&task, places(&task.found, None).unwrap(), |found, _, _| {
             done.push(found.scene.clone());
-            if found.scene == Path::new("b.glb") { Err(Error::Internal { what: "burst".into() }) } else { Ok(()) }
+            if found.scene == Path::new("b.glb") {
+                Err(Error::Internal { what: "burst".into() })
+            } else {
+                Ok(End::Done)
+            }
         });
         assert_eq!((code.unwrap(), done.len()), (SOME_FAILED, 3));
     }

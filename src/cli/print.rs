@@ -1,7 +1,8 @@
 //! Results and failures, for people and for programs.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
+use luxel::current::{Reason, State};
 use luxel::plan::Plan;
 use luxel::watch::event::{Done, Event};
 use luxel_export::report::Warning;
@@ -29,19 +30,53 @@ pub fn baked(style: Style, scene: &Path, done: Done) {
     }
 }
 
+/// A scene that is left alone.
+pub fn unchanged(style: Style, scene: &Path, outputs: &[PathBuf]) {
+    match style {
+        Style::Quiet => {}
+        Style::Json => {
+            let outputs: Vec<String> = outputs.iter().map(|path| written(path)).collect();
+            event(&json!({ "event": "unchanged", "scene": written(scene), "outputs": outputs }));
+        }
+        Style::Lines | Style::Bar => say("  unchanged"),
+    }
+}
+
+/// A scene whose outputs are not current.
+pub fn stale(style: Style, scene: &Path, reasons: &[Reason]) {
+    match style {
+        Style::Quiet => {}
+        Style::Json => event(&json!({ "event": "stale", "scene": written(scene), "reasons": listed(reasons) })),
+        Style::Lines | Style::Bar => reasons.iter().for_each(|reason| say(&format!("  stale: {reason}"))),
+    }
+}
+
+fn listed(reasons: &[Reason]) -> Vec<serde_json::Value> {
+    reasons.iter().map(Reason::to_json).collect()
+}
+
 fn notes(warnings: &[Warning]) {
     for warning in warnings {
         say(&format!("  note: {}", warning.message));
     }
 }
 
-/// A plan as a table, or as one JSON object.
-pub fn plan(style: Style, scene: &Path, plan: &Plan) {
+/// A plan as a table, or as one JSON object; first of all, whether there is anything to do.
+pub fn plan(style: Style, scene: &Path, plan: &Plan, state: &State) {
+    let reasons = if let State::Stale(reasons) = state { &reasons[..] } else { &[] };
     if style == Style::Json {
-        event(&json!({ "event": "plan", "scene": written(scene), "plan": plan }));
+        let (name, is_unchanged) = (written(scene), reasons.is_empty());
+        let stale = listed(reasons);
+        event(&json!({ "event": "plan", "scene": name, "plan": plan, "unchanged": is_unchanged, "stale": stale }));
         return;
     }
     let mut text = String::new();
+    if reasons.is_empty() {
+        text += "  unchanged  its outputs are current, so a bake leaves it alone; with --force:\n";
+    }
+    for reason in reasons {
+        text += &format!("  stale      {reason}\n");
+    }
     for step in &plan.steps {
         let state = match (step.runs, step.reused) {
             (true, true) => "reused",

@@ -143,7 +143,10 @@ impl Book {
             for scene in missed {
                 touched.entry(scene).or_default();
             }
-            let known = !self.depending(path).is_empty();
+            // Of a scene that was away only a search finds out that it is back.
+            let depending = self.depending(path);
+            let is_here = |scene: &PathBuf| self.items.get(scene).is_some_and(|i| i.here);
+            let known = !depending.is_empty() && depending.iter().all(|(scene, _)| is_here(scene));
             whole |= !(known && path.is_file()) && (leads_to(path, &self.anchors) || self.may_be_new(path));
         }
         if whole {
@@ -328,6 +331,11 @@ impl Book {
         // What has changed since then has its hints on their way.
         (item.baked, item.look) = (Some(look.clone()), look);
         self.index();
+    }
+
+    /// Nothing has been baked for a scene by this watch, so its outputs may be those of an earlier run.
+    pub fn is_fresh(&self, scene: &Path) -> bool {
+        self.items.get(scene).is_some_and(|item| item.baked.is_none())
     }
 
     /// A scene cannot be baked as `look` saw it.

@@ -5,7 +5,7 @@
 //! changed and changed back, bakes nothing. Events only say when to look.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::fs::File;
+use std::fs::{File, Metadata};
 use std::panic::AssertUnwindSafe;
 use std::path::{Path, PathBuf};
 
@@ -25,6 +25,27 @@ pub enum Content {
     Digest([u8; 32]),
     /// It is a folder, a pipe, larger than any file that is read [bytes], or may not be read.
     Refused(u64),
+}
+
+impl Content {
+    /// What the file holds now.
+    pub fn of(path: &Path) -> Self {
+        match std::fs::metadata(path) {
+            Ok(meta) => Self::read(path, &meta),
+            Err(error) => missing(&error, 0),
+        }
+    }
+
+    fn read(path: &Path, meta: &Metadata) -> Self {
+        // A pipe would block for ever.
+        let readable = meta.is_file() && meta.len() <= Limits::default().file_bytes;
+        if readable { digest(path, meta.len()) } else { Self::Refused(meta.len()) }
+    }
+
+    /// Its bytes can be read.
+    pub fn is_read(&self) -> bool {
+        matches!(self, Self::Digest(_))
+    }
 }
 
 /// Everything that a scene's bake follows from, at one time.
@@ -113,9 +134,7 @@ impl Digests {
         if let Some((_, content)) = self.known.get(path).filter(|(s, _)| *s == stamp) {
             return *content;
         }
-        // A pipe would block for ever.
-        let readable = meta.is_file() && meta.len() <= Limits::default().file_bytes;
-        let content = if readable { digest(path, meta.len()) } else { Content::Refused(meta.len()) };
+        let content = Content::read(path, &meta);
         // A file that changed while it was read has another stamp now, and is read again.
         self.known.insert(path.to_path_buf(), (stamp, content));
         content

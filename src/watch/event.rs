@@ -16,7 +16,7 @@
 //! | `overtaken` | `scene` | a bake was stopped, because its files have changed meanwhile; another one follows |
 //! | `baked` | `scene`, `seconds`, `outputs` [text], `quality` {name: number}, `warnings` [{`code`, `message`}] | a bake has ended well; all its files are in place |
 //! | `failed` | `scene`, `error`, `causes` [text] | the scene cannot be baked as it is now; its last good outputs stay |
-//! | `current` | `scene` | a broken scene is again what its outputs were made from: nothing is baked |
+//! | `current` | `scene` | a scene is what its outputs were made from, when it is found or again after it was broken: nothing is baked |
 //! | `idle` | `scenes` number, `failed` [text] | everything is as current as it can be |
 //! | `stopped` | `scenes` number, `failed` [text] | the last one: the watch was asked to end |
 //!

@@ -17,7 +17,7 @@
 
 mod batch;
 mod book;
-mod depend;
+pub(crate) mod depend;
 pub mod event;
 mod folders;
 mod place;

@@ -13,6 +13,8 @@ use std::sync::mpsc::{Receiver, Sender};
 use std::thread::Scope;
 use std::time::{Duration, Instant};
 
+use luxel_scene::Silent;
+
 use super::batch::{Batch, Hint, Hints};
 use super::book::Book;
 use super::depend::Look;
@@ -20,6 +22,7 @@ use super::event::{Event, Fault};
 use super::folders::Folders;
 use super::source::Watched;
 use super::{Baker, Ending, Finished, Message, Task, Watch};
+use crate::current::{self, State};
 use crate::{Error, Request};
 
 /// An error that nothing has contradicted for this time is told.
@@ -49,6 +52,7 @@ pub fn run(watch: Watch, baker: &dyn Baker, tell: &mut dyn FnMut(Event)) -> Endi
             running: None,
             untold: BTreeMap::new(),
             beat: BEAT,
+            hasty: false,
             stopping: false,
             voice: Voice { tell, is_idle: false },
         };
@@ -99,6 +103,8 @@ struct Course<'s, 'e, 't> {
     untold: BTreeMap<PathBuf, Duration>,
     /// When the folders are checked next.
     beat: Duration,
+    /// There may be more to do at once, after what has been heard meanwhile.
+    hasty: bool,
     stopping: bool,
     voice: Voice<'t>,
 }
@@ -144,8 +150,9 @@ impl Course<'_, '_, '_> {
             self.attend(&hints);
         }
         self.tell_faults();
+        self.hasty = false;
         if self.batch.is_empty() {
-            while self.running.is_none() && self.next() {}
+            while self.running.is_none() && !self.hasty && self.next() {}
         }
     }
 
@@ -153,6 +160,9 @@ impl Course<'_, '_, '_> {
     fn pause(&self) -> Duration {
         if self.stopping {
             return BEAT;
+        }
+        if self.hasty {
+            return Duration::ZERO;
         }
         // Errors wait until the burst is over.
         let untold = self.untold.values().min().copied().filter(|_| self.batch.is_empty());
@@ -239,10 +249,29 @@ impl Course<'_, '_, '_> {
         match (look.settings.clone(), look.outputs.clone()) {
             (Ok(settings), Ok(outputs)) => {
                 let request = Request { scene, outputs, settings, worker: self.worker.clone() };
-                self.bake(request, look);
+                if !self.adopt(&request, &look) {
+                    self.bake(request, look);
+                }
             }
             (Err(fault), _) | (_, Err(fault)) => self.failed(scene, look, fault),
         }
+        true
+    }
+
+    /// Takes the outputs of an earlier run for the scene's own, where a bake would only write them again. What stands in
+    /// the way of finding out stands in the way of the bake too, which tells it.
+    fn adopt(&mut self, request: &Request, look: &Look) -> bool {
+        let Request { scene, outputs, settings, .. } = request;
+        if !self.book.is_fresh(scene) {
+            return false;
+        }
+        let Ok(State::Current(now)) = current::check(scene, outputs, settings, &Silent) else { return false };
+        self.book.succeeded(scene, look, &now.inputs, now.files);
+        self.untold.remove(scene);
+        self.voice.say(Event::Current { scene: scene.clone() });
+        self.arm(&Hints::default());
+        // Reading all files of a scene takes its time, and somebody may want to stop.
+        self.hasty = true;
         true
     }
 

@@ -183,8 +183,12 @@ impl OutputSet {
         Ok(contents)
     }
 
-    /// Lightmap, bound and preview images in the folder that bear this stem's name and are not among `current`.
-    fn stale(&self, current: &[&PathBuf]) -> Result<Vec<PathBuf>, ExportError> {
+    /// Lightmap, bound and preview images in the folder that bear this stem's name and are not among `current`: left
+    /// over from another bake.
+    ///
+    /// # Errors
+    /// The folder cannot be listed.
+    pub fn stale(&self, current: &[&PathBuf]) -> Result<Vec<PathBuf>, ExportError> {
         let outdated = |path: &PathBuf| {
             let name = path.file_name();
             let is_image = name.and_then(|n| n.to_str()).is_some_and(|n| self.is_image_name(n));

@@ -5,6 +5,7 @@
 //! that does not apply is absent; no field is ever null.
 
 use std::collections::BTreeMap;
+use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
@@ -53,8 +54,12 @@ pub struct Report {
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct SceneInfo {
     pub name: String,
-    /// Every file that was read, with the hash of its bytes.
+    /// Every file that was read, with the hash of its bytes: the scene's own first.
     pub inputs: Vec<Input>,
+    /// Files that the scene names and that could not be read: once they can be, the scene is another one. Absent in
+    /// reports from before it was told.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub missing: Option<Vec<String>>,
 }
 
 /// A file that was read.
@@ -224,11 +229,13 @@ impl From<&luxel_scene::Notice> for Warning {
 
 impl From<&luxel_scene::InputFile> for Input {
     fn from(file: &luxel_scene::InputFile) -> Self {
-        Self {
-            path: file.path.to_string_lossy().replace('\\', "/"),
-            blake3: blake3::Hash::from(file.digest).to_hex().to_string(),
-        }
+        Self { path: written(&file.path), blake3: blake3::Hash::from(file.digest).to_hex().to_string() }
     }
+}
+
+/// A path as reports write it: with slashes on every system.
+pub fn written(path: &Path) -> String {
+    path.to_string_lossy().replace('\\', "/")
 }
 
 /// Path of the first null, in the manner of `stages/2/seconds`.
@@ -252,6 +259,7 @@ mod tests {
         let mut report = Report::new(SceneInfo {
             name: "level.glb".into(),
             inputs: vec![Input { path: "level.glb".into(), blake3: "00".repeat(32) }],
+            missing: Some(vec!["wall.png".into()]),
         });
         report.versions.insert("luxel".into(), "0.1.0".into());
         report.settings.push(Setting { name: "size".into(), value: 1024.into(), origin: "default".into() });

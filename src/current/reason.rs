@@ -1,0 +1,129 @@
+//! Why outputs are stale, in words and as stable words for programs.
+
+use std::fmt;
+use std::path::{Path, PathBuf};
+
+use serde_json::{Value as Json, json};
+
+/// Why a scene's outputs are not what a bake would write now.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Reason {
+    /// There is no report where the outputs go.
+    Unbaked,
+    /// The report does not tell what it should.
+    Report {
+        what: String,
+    },
+    /// Luxel, one of its stages, or the form of its store.
+    Version {
+        of: String,
+        was: String,
+        is: String,
+    },
+    Setting {
+        name: String,
+        was: String,
+        is: String,
+    },
+    /// An input has other bytes.
+    InputChanged {
+        path: PathBuf,
+    },
+    /// An input cannot be read any more, or the scene's name for it leads elsewhere.
+    InputGone {
+        path: PathBuf,
+    },
+    /// A file can be read that could not be then.
+    InputNew {
+        path: PathBuf,
+    },
+    OutputMissing {
+        path: PathBuf,
+    },
+    /// An output has other bytes than were written: somebody changed it, or another bake is just replacing it.
+    OutputChanged {
+        path: PathBuf,
+    },
+    /// An image of another bake under this scene's name.
+    LeftOver {
+        path: PathBuf,
+    },
+}
+
+impl Reason {
+    /// A stable word for programs.
+    pub fn code(&self) -> &'static str {
+        match self {
+            Self::Unbaked => "not-baked",
+            Self::Report { .. } => "report-unreadable",
+            Self::Version { .. } => "version-changed",
+            Self::Setting { .. } => "setting-changed",
+            Self::InputChanged { .. } => "input-changed",
+            Self::InputGone { .. } => "input-gone",
+            Self::InputNew { .. } => "input-new",
+            Self::OutputMissing { .. } => "output-missing",
+            Self::OutputChanged { .. } => "output-changed",
+            Self::LeftOver { .. } => "output-left-over",
+        }
+    }
+
+    /// `code` and `message`.
+    pub fn to_json(&self) -> Json {
+        json!({ "code": self.code(), "message": self.to_string() })
+    }
+}
+
+impl fmt::Display for Reason {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        match self {
+            Self::Unbaked => f.write_str("it has not been baked to this place yet"),
+            Self::Report { what } => write!(f, "the report cannot be read: {}", plain(what)),
+            Self::Version { of, was, is } if of == "luxel" => {
+                write!(f, "it was baked by luxel {}, and this is {}", plain(was), plain(is))
+            }
+            Self::Version { of, was, is } => {
+                write!(f, "{} has version {} now and had {}", plain(of), plain(is), plain(was))
+            }
+            Self::Setting { name, was, is } => {
+                write!(f, "the setting {} was {} and is {}", plain(name), plain(was), plain(is))
+            }
+            Self::InputChanged { path } => write!(f, "{} has changed", shown(path)),
+            Self::InputGone { path } => write!(f, "{} was read and is not there any more", shown(path)),
+            Self::InputNew { path } => write!(f, "{} can be read now and was missing", shown(path)),
+            Self::OutputMissing { path } => write!(f, "the output {} is not there", shown(path)),
+            Self::OutputChanged { path } => write!(f, "the output {} is not as it was written", shown(path)),
+            Self::LeftOver { path } => write!(f, "{} was left over by another bake", shown(path)),
+        }
+    }
+}
+
+fn shown(path: &Path) -> String {
+    plain(&path.to_string_lossy())
+}
+
+/// A text as it may stand in a message: words of a report come from a file, so control characters are escaped and what
+/// is too long is cut.
+fn plain(text: &str) -> String {
+    const LONGEST: usize = 300;
+    let cut = text.char_indices().nth(LONGEST).map(|(end, _)| &text[..end]);
+    match cut {
+        Some(front) => format!("{front:?}…"),
+        None if text.chars().any(char::is_control) => format!("{text:?}"),
+        None => text.into(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn words_of_a_report_cannot_break_a_message() {
+        let setting = |was: &str| Reason::Setting { name: "sky".into(), was: was.into(), is: "none".into() };
+        assert_eq!(setting("noon.hdr").to_string(), "the setting sky was noon.hdr and is none");
+        assert_eq!(setting("a\n\u{1b}[2J").to_string(), "the setting sky was \"a\\n\\u{1b}[2J\" and is none");
+        let long = setting(&"ö".repeat(100_000)).to_string();
+        assert!(long.chars().count() < 400 && long.contains('…'), "{long}");
+        assert_eq!(setting("x").to_json()["code"], "setting-changed");
+    }
+}
