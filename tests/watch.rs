@@ -126,6 +126,37 @@ fn a_change_during_a_bake_stops_it_and_one_more_follows() {
 }
 
 #[test]
+fn a_change_during_a_bake_that_ends_well_all_the_same_is_baked_too() {
+    let mut bench = Bench::new(&["."], None, |folder| furnish(folder, "a"));
+    bench.deafen();
+    bench.shut(true);
+    std::fs::write(bench.at("a.bin"), corners(1)).unwrap();
+    bench.held();
+    std::fs::write(bench.at("a.bin"), corners(2)).unwrap();
+    // Its hints are used up before the bake ends.
+    bench.heed("a.gltf");
+    bench.shut(false);
+    bench.baked("a.gltf");
+    bench.baked("a.gltf");
+    bench.settle("a.bin");
+    assert_eq!(bench.bakes(), 3, "with the first one");
+    bench.assert_current("a.gltf");
+    // What was changed back when such a bake ends is baked anew, since its outputs are of what it has read.
+    bench.shut(true);
+    std::fs::write(bench.at("a.bin"), corners(3)).unwrap();
+    bench.held();
+    std::fs::write(bench.at("a.bin"), corners(2)).unwrap();
+    bench.heed("a.gltf");
+    bench.shut(false);
+    bench.baked("a.gltf");
+    bench.baked("a.gltf");
+    bench.settle("a.bin");
+    assert_eq!(bench.bakes(), 5);
+    bench.assert_current("a.gltf");
+    bench.end();
+}
+
+#[test]
 fn what_is_changed_back_during_a_bake_is_not_baked_again() {
     let mut bench = Bench::new(&["."], None, |folder| furnish(folder, "a"));
     bench.shut(true);

@@ -242,7 +242,7 @@ impl Book {
     }
 
     /// Looks at a scene anew; tells and returns whether it differs from before.
-    fn look(&mut self, scene: &Path, tell: &mut dyn FnMut(Event)) -> bool {
+    pub fn look(&mut self, scene: &Path, tell: &mut dyn FnMut(Event)) -> bool {
         let Some(look) = self.glance(scene) else { return false };
         let Some(item) = self.items.get_mut(scene) else { return false };
         item.find(&look, &self.options);
@@ -309,7 +309,8 @@ impl Book {
         self.digests.retain(|path| named.contains(&path.to_path_buf()));
     }
 
-    /// A bake of `look` has ended well, having read `inputs`.
+    /// A bake of `look` has ended well, having read `inputs`. The scene is to be looked at again after that: hints of
+    /// what has changed meanwhile may have come and gone.
     pub fn succeeded(&mut self, scene: &Path, look: &Look, inputs: &[InputFile], outputs: Vec<PathBuf>) {
         let Some(item) = self.items.get_mut(scene) else { return };
         item.read = inputs.iter().map(|i| i.path.clone()).collect();
@@ -323,10 +324,17 @@ impl Book {
             .files
             .iter()
             .map(|(path, content)| (path.clone(), read(path).or(look.files.get(path).copied()).unwrap_or(*content)));
-        let look = Look { files: files.collect(), ..look.clone() };
-        item.find(&look, &self.options);
-        // What has changed since then has its hints on their way.
-        (item.baked, item.look) = (Some(look.clone()), look);
+        let baked = Look { files: files.collect(), ..look.clone() };
+        if item.look == *look {
+            item.look = baked.clone();
+        } else {
+            // What was seen to change during the bake has been told, and its hints are used up.
+            for (path, content) in &baked.files {
+                item.look.files.entry(path.clone()).or_insert(*content);
+            }
+        }
+        item.find(&baked, &self.options);
+        item.baked = Some(baked);
         self.index();
     }
 

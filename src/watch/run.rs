@@ -274,7 +274,9 @@ impl Course<'_, '_, '_> {
             Ok(Finished { done, inputs }) => {
                 self.book.succeeded(&scene, &look, &inputs, done.outputs.clone());
                 self.untold.remove(&scene);
-                self.voice.say(Event::Baked { scene, done });
+                self.voice.say(Event::Baked { scene: scene.clone(), done });
+                let voice = &mut self.voice;
+                self.book.look(&scene, &mut |event| voice.say(event));
                 self.arm(&Hints::default());
             }
             // What an overtaken bake stumbles over is no more.
