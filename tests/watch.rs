@@ -338,7 +338,12 @@ struct Tool {
 
 impl Tool {
     fn new(folder: &Path, args: &[&str]) -> Self {
-        let mut child = Command::new(env!("CARGO_BIN_EXE_luxel"))
+        Self::start(Command::new(env!("CARGO_BIN_EXE_luxel")), folder, args)
+    }
+
+    /// With a command that runs luxel with the arguments that it is given.
+    fn start(mut command: Command, folder: &Path, args: &[&str]) -> Self {
+        let mut child = command
             .args([&["watch", "--json"], args, &tool::QUICK].concat())
             .current_dir(folder)
             .stdout(Stdio::piped())
@@ -426,6 +431,24 @@ fn the_tool_bakes_what_is_saved_and_ends_cleanly_in_the_middle_of_a_bake() {
         let last = tool::Outputs::read(&folder.path().join("baked"), "cornell");
         assert_eq!(last.report, after.report, "the last whole bake is what is there");
     }
+}
+
+#[cfg(unix)]
+#[test]
+fn a_terminal_that_goes_away_ends_nothing_where_its_signal_is_ignored() {
+    let folder = tool::folder(&["cornell.glb"]);
+    let mut command = Command::new("sh");
+    // As nohup does it.
+    command.args(["-c", r#"trap "" HUP; exec "$0" "$@""#, env!("CARGO_BIN_EXE_luxel")]);
+    let mut tool = Tool::start(command, folder.path(), &["."]);
+    tool.wait("idle");
+    tool.signal("-HUP");
+    std::fs::write(folder.path().join("luxel.toml"), "emissive_scale = 2.0").unwrap();
+    tool.wait("baked");
+    tool.wait("idle");
+    tool.signal("-TERM");
+    tool.wait("stopped");
+    assert_eq!(tool.end(), Some(0));
 }
 
 #[cfg(unix)]
