@@ -294,6 +294,45 @@ fn a_broken_scene_says_so_keeps_its_light_and_is_picked_up_again() {
 }
 
 #[test]
+fn what_failed_for_reasons_outside_of_its_files_is_tried_again_at_a_touch() {
+    let mut bench = Bench::new(&["a.gltf"], None, |folder| {
+        furnish(folder, "a");
+        std::fs::write(folder.join("baked"), "in the way").unwrap();
+    });
+    assert_eq!((bench.attempts(), bench.bakes()), (1, 0));
+    touch(&bench.at("a.bin"));
+    bench.wait("failed", |e| matches!(e, Event::Failed { .. }));
+    assert_eq!((bench.idle(), bench.attempts()), (vec![bench.at("a.gltf")], 2));
+    std::fs::remove_file(bench.at("baked")).unwrap();
+    touch(&bench.at("a.bin"));
+    bench.baked("a.gltf");
+    bench.settle("a.bin");
+    assert_eq!((bench.attempts(), bench.bakes()), (3, 1));
+    bench.assert_current("a.gltf");
+    assert!(bench.end().0.is_empty());
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn a_folder_that_cannot_be_searched_is_told_and_hides_no_other() {
+    let folder = tempfile::tempdir().unwrap();
+    furnish(folder.path(), "levels/a");
+    // Below this, a path is too long for the system to list it.
+    let chain = |above: &Path| (0..9).fold(above.to_path_buf(), |path, _| path.join("n".repeat(220)));
+    let (inner, other) = (chain(&folder.path().join("levels/deep")), chain(&folder.path().join("other")));
+    std::fs::create_dir_all(&inner).unwrap();
+    std::fs::create_dir_all(other.join("m".repeat(220))).unwrap();
+    std::fs::rename(folder.path().join("other"), inner.join("other")).unwrap();
+    let mut tool = Tool::new(folder.path(), &["levels"]);
+    assert!(tool.wait("unwatched")["path"].as_str().unwrap().starts_with("levels/deep/"));
+    assert_eq!(tool.wait("watching")["scenes"], 1);
+    assert_eq!(tool.wait("baking")["scene"], "levels/a.gltf");
+    tool.signal("-TERM");
+    tool.wait("stopped");
+    tool.end();
+}
+
+#[test]
 fn a_buffer_may_come_after_its_scene_and_lie_in_a_folder_that_is_not_there_yet() {
     let mut bench = Bench::new(&["a.gltf"], None, |folder| {
         furnish(folder, "a");

@@ -188,7 +188,7 @@ fn work(log: &(Mutex<Log>, Condvar), task: &Task) -> Result<Finished, luxel::Err
     }
     drop(state);
     let glb = task.request.outputs.glb();
-    luxel_export::write_atomic(&glb, &light(&scene)).unwrap();
+    luxel_export::write_atomic(&glb, &light(&scene))?;
     Ok(Finished { done: Done { outputs: vec![glb], ..Done::default() }, inputs: scene.inputs })
 }
 
