@@ -390,3 +390,28 @@ impl Item {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::settings::{Layer, Origin};
+
+    #[test]
+    fn a_scene_that_was_never_baked_is_forgotten_when_it_goes() {
+        let folder = tempfile::tempdir().unwrap();
+        let flags = Layer::new(Origin::CommandLine);
+        let choices = super::super::Choices { config: None, flags };
+        let paths = vec![(folder.path().to_path_buf(), true)];
+        let mut book = Book::new(Options { paths, out: None, choices, worker: None });
+        let [a, b] = ["a.glb", "b.glb"].map(|name| folder.path().join(name));
+        [&a, &b].iter().for_each(|path| std::fs::write(path, "x").unwrap());
+        book.survey(false, &mut |_| {});
+        let look = book.item(&a).unwrap().look.clone();
+        book.succeeded(&a, &look, &[], Vec::new());
+        [&a, &b].iter().for_each(|path| std::fs::remove_file(path).unwrap());
+        let mut gone = 0;
+        book.survey(true, &mut |event| gone += usize::from(matches!(event, Event::Removed { .. })));
+        assert_eq!((gone, book.scenes()), (2, 0));
+        assert!(book.item(&a).is_some() && book.item(&b).is_none());
+    }
+}
