@@ -65,7 +65,10 @@ fn named(path: &Path, out: Option<&Path>) -> Result<Vec<Found>, DiscoverError> {
         let found = Found { scene: path.into(), root: None };
         return if path.exists() { Ok(vec![found]) } else { Err(DiscoverError::Missing(path.into())) };
     }
-    let scenes = below(path, out)?.scenes;
+    let Below { scenes, closed, .. } = below(path, out);
+    if let Some((path, source)) = closed.into_iter().next() {
+        return Err(DiscoverError::List { path, source });
+    }
     if scenes.is_empty() {
         return Err(DiscoverError::Empty(path.into()));
     }
@@ -79,41 +82,44 @@ pub struct Below {
     pub scenes: Vec<PathBuf>,
     /// The folders that were searched, itself first.
     pub folders: Vec<PathBuf>,
+    /// Folders that could not be listed, or not wholly, and why; what lies beside them was found all the same.
+    pub closed: Vec<(PathBuf, io::Error)>,
 }
 
-/// The scenes below a folder, searched as [`find`] does; `out` is a real path, links followed. A folder that vanishes
-/// meanwhile is passed over.
-///
-/// # Errors
-/// A folder that cannot be listed.
-pub fn below(root: &Path, out: Option<&Path>) -> Result<Below, DiscoverError> {
+/// The scenes below a folder, searched as [`find`] does; `out` is a real path, links followed. A folder below it that
+/// vanishes meanwhile is passed over.
+pub fn below(root: &Path, out: Option<&Path>) -> Below {
     let mut below = Below::default();
     let mut folders = vec![root.to_path_buf()];
     while let Some(folder) = folders.pop() {
-        let failed = |source| DiscoverError::List { path: folder.clone(), source };
-        let entries = match std::fs::read_dir(&folder) {
-            Err(error) if error.kind() == io::ErrorKind::NotFound && folder != root => continue,
-            entries => entries.map_err(failed)?,
-        };
-        below.folders.push(folder.clone());
-        for entry in entries {
-            let entry = entry.map_err(failed)?;
-            let path = entry.path();
-            let kind = match entry.file_type() {
-                Err(error) if error.kind() == io::ErrorKind::NotFound => continue,
-                kind => kind.map_err(failed)?,
-            };
-            if kind.is_dir() {
-                if is_searched(&path, out) {
-                    folders.push(path);
-                }
-            } else if !is_hidden(&path) && is_scene(&path) && !luxel_export::is_output(&path) {
-                below.scenes.push(path);
-            }
+        match list(&folder, out, &mut below.scenes, &mut folders) {
+            Err(error) if error.kind() == io::ErrorKind::NotFound && folder != root => {}
+            Err(error) => below.closed.push((folder, error)),
+            Ok(()) => below.folders.push(folder),
         }
     }
     below.scenes.sort();
-    Ok(below)
+    below
+}
+
+/// Adds the scenes of one folder and those of its folders that are searched.
+fn list(folder: &Path, out: Option<&Path>, scenes: &mut Vec<PathBuf>, folders: &mut Vec<PathBuf>) -> io::Result<()> {
+    for entry in std::fs::read_dir(folder)? {
+        let entry = entry?;
+        let path = entry.path();
+        let kind = match entry.file_type() {
+            Err(error) if error.kind() == io::ErrorKind::NotFound => continue,
+            kind => kind?,
+        };
+        if kind.is_dir() {
+            if is_searched(&path, out) {
+                folders.push(path);
+            }
+        } else if !is_hidden(&path) && is_scene(&path) && !luxel_export::is_output(&path) {
+            scenes.push(path);
+        }
+    }
+    Ok(())
 }
 
 /// Whether a search enters this folder.
@@ -170,6 +176,34 @@ mod tests {
         let found = find(&[folder.path().to_path_buf()], None).unwrap().found;
         assert_eq!(found.len(), 1, "{found:?}");
         assert_eq!(found[0].scene, scene);
+    }
+
+    /// Below a folder, one whose path is too long for the system to list it, whoever asks.
+    #[cfg(target_os = "linux")]
+    fn unlistable(folder: &Path) {
+        let chain = |above: &Path| (0..9).fold(above.to_path_buf(), |path, _| path.join("n".repeat(220)));
+        let (inner, other) = (chain(folder), chain(&folder.join("other")));
+        std::fs::create_dir_all(&inner).unwrap();
+        std::fs::create_dir_all(other.join("m".repeat(220))).unwrap();
+        std::fs::rename(folder.join("other"), inner.join("other")).unwrap();
+    }
+
+    #[cfg(target_os = "linux")]
+    #[test]
+    fn a_folder_that_cannot_be_listed_hides_no_other() {
+        let folder = tempfile::tempdir().unwrap();
+        let root = folder.path().to_path_buf();
+        for name in ["a/a.glb", "z/z.glb"] {
+            std::fs::create_dir_all(root.join(name).parent().unwrap()).unwrap();
+            std::fs::write(root.join(name), "").unwrap();
+        }
+        unlistable(&root.join("deep"));
+        let found = below(&root, None);
+        assert_eq!(found.scenes, [root.join("a/a.glb"), root.join("z/z.glb")]);
+        assert!(found.closed.len() == 1 && found.closed[0].0.starts_with(root.join("deep")), "{:?}", found.closed);
+        assert!(!found.folders.contains(&found.closed[0].0));
+        // A bake says that it would leave something out.
+        assert!(matches!(find(&[root], None), Err(DiscoverError::List { .. })));
     }
 
     #[test]

@@ -126,6 +126,37 @@ fn a_change_during_a_bake_stops_it_and_one_more_follows() {
 }
 
 #[test]
+fn a_change_during_a_bake_that_ends_well_all_the_same_is_baked_too() {
+    let mut bench = Bench::new(&["."], None, |folder| furnish(folder, "a"));
+    bench.deafen();
+    bench.shut(true);
+    std::fs::write(bench.at("a.bin"), corners(1)).unwrap();
+    bench.held();
+    std::fs::write(bench.at("a.bin"), corners(2)).unwrap();
+    // Its hints are used up before the bake ends.
+    bench.heed("a.gltf");
+    bench.shut(false);
+    bench.baked("a.gltf");
+    bench.baked("a.gltf");
+    bench.settle("a.bin");
+    assert_eq!(bench.bakes(), 3, "with the first one");
+    bench.assert_current("a.gltf");
+    // What was changed back when such a bake ends is baked anew, since its outputs are of what it has read.
+    bench.shut(true);
+    std::fs::write(bench.at("a.bin"), corners(3)).unwrap();
+    bench.held();
+    std::fs::write(bench.at("a.bin"), corners(2)).unwrap();
+    bench.heed("a.gltf");
+    bench.shut(false);
+    bench.baked("a.gltf");
+    bench.baked("a.gltf");
+    bench.settle("a.bin");
+    assert_eq!(bench.bakes(), 5);
+    bench.assert_current("a.gltf");
+    bench.end();
+}
+
+#[test]
 fn what_is_changed_back_during_a_bake_is_not_baked_again() {
     let mut bench = Bench::new(&["."], None, |folder| furnish(folder, "a"));
     bench.shut(true);
@@ -263,6 +294,45 @@ fn a_broken_scene_says_so_keeps_its_light_and_is_picked_up_again() {
 }
 
 #[test]
+fn what_failed_for_reasons_outside_of_its_files_is_tried_again_at_a_touch() {
+    let mut bench = Bench::new(&["a.gltf"], None, |folder| {
+        furnish(folder, "a");
+        std::fs::write(folder.join("baked"), "in the way").unwrap();
+    });
+    assert_eq!((bench.attempts(), bench.bakes()), (1, 0));
+    touch(&bench.at("a.bin"));
+    bench.wait("failed", |e| matches!(e, Event::Failed { .. }));
+    assert_eq!((bench.idle(), bench.attempts()), (vec![bench.at("a.gltf")], 2));
+    std::fs::remove_file(bench.at("baked")).unwrap();
+    touch(&bench.at("a.bin"));
+    bench.baked("a.gltf");
+    bench.settle("a.bin");
+    assert_eq!((bench.attempts(), bench.bakes()), (3, 1));
+    bench.assert_current("a.gltf");
+    assert!(bench.end().0.is_empty());
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn a_folder_that_cannot_be_searched_is_told_and_hides_no_other() {
+    let folder = tempfile::tempdir().unwrap();
+    furnish(folder.path(), "levels/a");
+    // Below this, a path is too long for the system to list it.
+    let chain = |above: &Path| (0..9).fold(above.to_path_buf(), |path, _| path.join("n".repeat(220)));
+    let (inner, other) = (chain(&folder.path().join("levels/deep")), chain(&folder.path().join("other")));
+    std::fs::create_dir_all(&inner).unwrap();
+    std::fs::create_dir_all(other.join("m".repeat(220))).unwrap();
+    std::fs::rename(folder.path().join("other"), inner.join("other")).unwrap();
+    let mut tool = Tool::new(folder.path(), &["levels"]);
+    assert!(tool.wait("unwatched")["path"].as_str().unwrap().starts_with("levels/deep/"));
+    assert_eq!(tool.wait("watching")["scenes"], 1);
+    assert_eq!(tool.wait("baking")["scene"], "levels/a.gltf");
+    tool.signal("-TERM");
+    tool.wait("stopped");
+    tool.end();
+}
+
+#[test]
 fn a_buffer_may_come_after_its_scene_and_lie_in_a_folder_that_is_not_there_yet() {
     let mut bench = Bench::new(&["a.gltf"], None, |folder| {
         furnish(folder, "a");
@@ -369,7 +439,12 @@ struct Tool {
 
 impl Tool {
     fn new(folder: &Path, args: &[&str]) -> Self {
-        let mut child = Command::new(env!("CARGO_BIN_EXE_luxel"))
+        Self::start(Command::new(env!("CARGO_BIN_EXE_luxel")), folder, args)
+    }
+
+    /// With a command that runs luxel with the arguments that it is given.
+    fn start(mut command: Command, folder: &Path, args: &[&str]) -> Self {
+        let mut child = command
             .args([&["watch", "--json"], args, &tool::QUICK].concat())
             .current_dir(folder)
             .stdout(Stdio::piped())
@@ -457,6 +532,24 @@ fn the_tool_bakes_what_is_saved_and_ends_cleanly_in_the_middle_of_a_bake() {
         let last = tool::Outputs::read(&folder.path().join("baked"), "cornell");
         assert_eq!(last.report, after.report, "the last whole bake is what is there");
     }
+}
+
+#[cfg(unix)]
+#[test]
+fn a_terminal_that_goes_away_ends_nothing_where_its_signal_is_ignored() {
+    let folder = tool::folder(&["cornell.glb"]);
+    let mut command = Command::new("sh");
+    // As nohup does it.
+    command.args(["-c", r#"trap "" HUP; exec "$0" "$@""#, env!("CARGO_BIN_EXE_luxel")]);
+    let mut tool = Tool::start(command, folder.path(), &["."]);
+    tool.wait("idle");
+    tool.signal("-HUP");
+    std::fs::write(folder.path().join("luxel.toml"), "emissive_scale = 2.0").unwrap();
+    tool.wait("baked");
+    tool.wait("idle");
+    tool.signal("-TERM");
+    tool.wait("stopped");
+    assert_eq!(tool.end(), Some(0));
 }
 
 #[cfg(unix)]

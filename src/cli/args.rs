@@ -61,7 +61,7 @@ Events of --json, one object per line, with their fields:
   unchanged  scene, files            touched, with the content of before
   removed    scene                   its outputs stay
   baking     scene                   then stages as of luxel bake --json: started, progress, finished
-  overtaken  scene                   stopped, because its files changed; another bake follows
+  overtaken  scene                   stopped, because its files changed; another bake follows unless they changed back
   baked      scene, seconds, outputs, quality, warnings
   failed     scene, error, causes    its last good outputs stay
   current    scene                   as when it was baked: at the start, or again after it was broken

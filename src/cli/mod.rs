@@ -108,13 +108,29 @@ fn config(common: &Common) -> anyhow::Result<Option<Layer>> {
 /// Does this on the first Ctrl-C or request to end. The second one is meant seriously.
 fn on_interrupt(mut work: impl FnMut() + Send + 'static) -> anyhow::Result<()> {
     let mut is_second = false;
-    let handler = move || {
+    listen(move || {
         if std::mem::replace(&mut is_second, true) {
             std::process::exit(i32::from(INTERRUPTED));
         }
         work();
-    };
-    ctrlc::set_handler(handler).context("cannot listen for Ctrl-C")
+    })
+    .context("cannot listen for Ctrl-C")
+}
+
+/// Calls this at every Ctrl-C (SIGINT) and request to end (SIGTERM), on a thread of its own. A terminal that goes away
+/// (SIGHUP) ends the process as it would any other, unless whoever started it said otherwise, as nohup does.
+#[cfg(unix)]
+fn listen(mut handler: impl FnMut() + Send + 'static) -> std::io::Result<()> {
+    use signal_hook::consts::{SIGINT, SIGTERM};
+    let mut signals = signal_hook::iterator::Signals::new([SIGINT, SIGTERM])?;
+    let wait = move || signals.forever().for_each(|_| handler());
+    std::thread::Builder::new().name("luxel signals".into()).spawn(wait).map(drop)
+}
+
+/// Calls this at every Ctrl-C and request to end, on a thread of its own.
+#[cfg(not(unix))]
+fn listen(handler: impl FnMut() + Send + 'static) -> Result<(), ctrlc::Error> {
+    ctrlc::set_handler(handler)
 }
 
 fn bake(args: &Baking) -> anyhow::Result<u8> {

@@ -41,7 +41,9 @@ fn tell(style: Style, told: Event) {
         (_, Event::Failed { scene, fault }) => {
             print::failed(style, &scene, &error(fault));
             if style != Style::Quiet {
-                say("  its last lightmap stays; it is baked again when a file of it changes");
+                say(
+                    "  its last lightmap stays; it is tried again when a file of it changes, or is saved if the fault lay elsewhere",
+                );
             }
         }
         (Style::Quiet, _) => {}

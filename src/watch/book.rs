@@ -5,13 +5,14 @@
 //! baked twice, and what is changed back is current again.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
 use luxel_export::OutputSet;
 use luxel_scene::InputFile;
 
 use super::Options;
-use super::depend::{Content, Digests, Look, named, sky};
+use super::depend::{Content, Digests, Look, read, sky};
 use super::event::{Event, Fault};
 use super::place::{Place, leads_to};
 use crate::discover::{self, Found, is_scene, is_searched};
@@ -32,10 +33,17 @@ pub struct Item {
     /// What its outputs were made from.
     baked: Option<Look>,
     outputs: Vec<PathBuf>,
-    /// What could not be baked, and why.
-    failed: Option<(Look, Fault)>,
+    failed: Option<Failure>,
     /// The higher, the later it has changed.
     changed: u64,
+}
+
+/// What could not be baked, and why.
+struct Failure {
+    look: Look,
+    fault: Fault,
+    /// It follows from the look alone: the same look fails again.
+    is_lasting: bool,
 }
 
 impl Item {
@@ -46,7 +54,7 @@ impl Item {
 
     /// It could not be baked as it is now.
     fn is_broken(&self) -> bool {
-        self.here && self.failed.as_ref().is_some_and(|(look, _)| *look == self.look)
+        self.here && self.failed.as_ref().is_some_and(|f| f.look == self.look)
     }
 }
 
@@ -157,7 +165,12 @@ impl Book {
         for scene in scenes {
             let differs = self.look(&scene, tell);
             let files = touched.remove(&scene).unwrap_or_default();
-            if !differs && !files.is_empty() && self.items.get(&scene).is_some_and(|i| i.here) {
+            if !differs
+                && !files.is_empty()
+                && let Some(item) = self.items.get_mut(&scene).filter(|i| i.here)
+            {
+                // What stood in its way may have gone: a full disk, a folder that was closed.
+                item.failed.take_if(|f| !f.is_lasting);
                 tell(Event::Unchanged { scene, files: files.into_iter().collect() });
             }
         }
@@ -178,25 +191,22 @@ impl Book {
                 }
                 continue;
             }
-            match discover::below(path, out.as_deref()) {
-                Ok(below) => {
-                    self.tree.extend(below.folders.iter().filter_map(|f| f.canonicalize().ok()));
-                    for scene in below.scenes {
-                        found.entry(scene.clone()).or_insert(Found { scene, root: Some(path.clone()) });
-                    }
+            let below = discover::below(path, out.as_deref());
+            self.tree.extend(below.folders.iter().filter_map(|f| f.canonicalize().ok()));
+            for scene in below.scenes {
+                found.entry(scene.clone()).or_insert(Found { scene, root: Some(path.clone()) });
+            }
+            // A named folder that is not there holds nothing; any other error says nothing of what is there.
+            for (folder, error) in below.closed.into_iter().filter(|(_, e)| e.kind() != ErrorKind::NotFound) {
+                // What was known of it stays.
+                let is_known = |i: &&Item| i.here && i.found.root.as_ref() == Some(path);
+                let known = self.items.values().filter(is_known).filter(|i| i.found.scene.starts_with(&folder));
+                found.extend(known.map(|i| (i.found.scene.clone(), i.found.clone())));
+                let reason = format!("it cannot be searched for scenes: {error}");
+                if self.closed.get(&folder) != Some(&reason) {
+                    tell(Event::Unwatched { path: folder.clone(), reason: reason.clone() });
                 }
-                Err(_) if !path.exists() => {}
-                Err(error) => {
-                    let fault = Fault::new(&error);
-                    let reason = [&[fault.error][..], &fault.causes].concat().join(": ");
-                    // What was known of it stays.
-                    let known = self.items.values().filter(|i| i.here && i.found.root.as_ref() == Some(path));
-                    found.extend(known.map(|i| (i.found.scene.clone(), i.found.clone())));
-                    if self.closed.get(path) != Some(&reason) {
-                        tell(Event::Unwatched { path: path.clone(), reason: reason.clone() });
-                    }
-                    closed.insert(path.clone(), reason);
-                }
+                closed.insert(folder, reason);
             }
         }
         self.closed = closed;
@@ -218,6 +228,8 @@ impl Book {
                 tell(Event::Removed { scene: scene.clone() });
             }
         }
+        // Of one that was never baked there is nothing to know when it comes back.
+        self.items.retain(|_, item| item.here || item.baked.is_some());
         for (scene, found) in found {
             let known = self.items.get_mut(&scene);
             let is_new = known.as_ref().is_none_or(|i| !i.here);
@@ -245,7 +257,7 @@ impl Book {
     }
 
     /// Looks at a scene anew; tells and returns whether it differs from before.
-    fn look(&mut self, scene: &Path, tell: &mut dyn FnMut(Event)) -> bool {
+    pub fn look(&mut self, scene: &Path, tell: &mut dyn FnMut(Event)) -> bool {
         let Some(look) = self.glance(scene) else { return false };
         let Some(item) = self.items.get_mut(scene) else { return false };
         item.find(&look, &self.options);
@@ -255,9 +267,7 @@ impl Book {
             self.changes += 1;
             item.changed = self.changes;
             tell(Event::Changed { scene: scene.into(), files: before.differences(&item.look) });
-            if item.failed.take_if(|(failed, _)| *failed != item.look).is_some()
-                && item.baked.as_ref() == Some(&item.look)
-            {
+            if item.failed.take_if(|f| f.look != item.look).is_some() && item.baked.as_ref() == Some(&item.look) {
                 tell(Event::Current { scene: scene.into() });
             }
         }
@@ -268,12 +278,11 @@ impl Book {
     pub fn glance(&mut self, scene: &Path) -> Option<Look> {
         let outputs = self.place(scene)?;
         let item = self.items.get(scene)?;
-        let settings = self.options.choices.settings(scene);
-        let mut files = named(scene);
+        let (settings, mut files) = read(scene, &self.options.choices);
         files.extend(item.read.iter().cloned());
         files.extend(settings.as_ref().ok().and_then(sky));
         let files = files.into_iter().map(|f| (self.digests.of(&f), f)).map(|(content, f)| (f, content)).collect();
-        Some(Look { files, settings: settings.map_err(|e| Fault::new(&e)), outputs })
+        Some(Look { files, settings, outputs })
     }
 
     /// A scene as it is now, after something happened at these of its files.
@@ -312,7 +321,8 @@ impl Book {
         self.digests.retain(|path| named.contains(&path.to_path_buf()));
     }
 
-    /// A bake of `look` has ended well, having read `inputs`.
+    /// A bake of `look` has ended well, having read `inputs`. The scene is to be looked at again after that: hints of
+    /// what has changed meanwhile may have come and gone.
     pub fn succeeded(&mut self, scene: &Path, look: &Look, inputs: &[InputFile], outputs: Vec<PathBuf>) {
         let Some(item) = self.items.get_mut(scene) else { return };
         item.read = inputs.iter().map(|i| i.path.clone()).collect();
@@ -326,10 +336,17 @@ impl Book {
             .files
             .iter()
             .map(|(path, content)| (path.clone(), read(path).or(look.files.get(path).copied()).unwrap_or(*content)));
-        let look = Look { files: files.collect(), ..look.clone() };
-        item.find(&look, &self.options);
-        // What has changed since then has its hints on their way.
-        (item.baked, item.look) = (Some(look.clone()), look);
+        let baked = Look { files: files.collect(), ..look.clone() };
+        if item.look == *look {
+            item.look = baked.clone();
+        } else {
+            // What was seen to change during the bake has been told, and its hints are used up.
+            for (path, content) in &baked.files {
+                item.look.files.entry(path.clone()).or_insert(*content);
+            }
+        }
+        item.find(&baked, &self.options);
+        item.baked = Some(baked);
         self.index();
     }
 
@@ -338,16 +355,17 @@ impl Book {
         self.items.get(scene).is_some_and(|item| item.baked.is_none())
     }
 
-    /// A scene cannot be baked as `look` saw it.
-    pub fn failed_as(&mut self, scene: &Path, look: Look, fault: Fault) {
+    /// A scene cannot be baked as `look` saw it; if that does not follow from the look alone, it is tried again when
+    /// something happens to its files.
+    pub fn failed_as(&mut self, scene: &Path, look: Look, fault: Fault, is_lasting: bool) {
         if let Some(item) = self.items.get_mut(scene) {
-            item.failed = Some((look, fault));
+            item.failed = Some(Failure { look, fault, is_lasting });
         }
     }
 
     /// Why a scene cannot be baked as it is now.
     pub fn fault(&self, scene: &Path) -> Option<&Fault> {
-        self.items.get(scene).filter(|i| i.is_broken())?.failed.as_ref().map(|(_, fault)| fault)
+        self.items.get(scene).filter(|i| i.is_broken())?.failed.as_ref().map(|f| &f.fault)
     }
 }
 
@@ -378,5 +396,30 @@ impl Item {
                 self.folders.insert(place.folder);
             }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::settings::{Layer, Origin};
+
+    #[test]
+    fn a_scene_that_was_never_baked_is_forgotten_when_it_goes() {
+        let folder = tempfile::tempdir().unwrap();
+        let flags = Layer::new(Origin::CommandLine);
+        let choices = super::super::Choices { config: None, flags };
+        let paths = vec![(folder.path().to_path_buf(), true)];
+        let mut book = Book::new(Options { paths, out: None, choices, worker: None });
+        let [a, b] = ["a.glb", "b.glb"].map(|name| folder.path().join(name));
+        [&a, &b].iter().for_each(|path| std::fs::write(path, "x").unwrap());
+        book.survey(false, &mut |_| {});
+        let look = book.item(&a).unwrap().look.clone();
+        book.succeeded(&a, &look, &[], Vec::new());
+        [&a, &b].iter().for_each(|path| std::fs::remove_file(path).unwrap());
+        let mut gone = 0;
+        book.survey(true, &mut |event| gone += usize::from(matches!(event, Event::Removed { .. })));
+        assert_eq!((gone, book.scenes()), (2, 0));
+        assert!(book.item(&a).is_some() && book.item(&b).is_none());
     }
 }

@@ -15,6 +15,7 @@ use luxel_scene::import::{Limits, document::Document, files::Files};
 
 use super::event::Fault;
 use super::stamp::Stamp;
+use crate::Error;
 use crate::settings::{FILE_NAME, Layer, Resolved, SettingsError, SkySetting, for_scene};
 
 /// What a file holds.
@@ -92,7 +93,21 @@ impl Choices {
     }
 }
 
-/// The files that a scene names as it is now: itself, buffers, images. Only itself where it cannot be understood.
+/// A scene's settings as the files are now, and the files that it names. Both read what anybody may have written: what
+/// makes a parser panic is this scene's fault, and the watch of the others goes on.
+pub fn read(scene: &Path, choices: &Choices) -> (Result<Resolved, Fault>, BTreeSet<PathBuf>) {
+    let work = || (choices.settings(scene).map_err(|e| Fault::new(&e)), named(scene));
+    guarded(work).unwrap_or_else(|fault| (Err(fault), BTreeSet::from([scene.to_path_buf()])))
+}
+
+/// What the work returns, or that it panicked.
+fn guarded<T>(work: impl FnOnce() -> T) -> Result<T, Fault> {
+    let what = "a panic while the scene's files were read";
+    std::panic::catch_unwind(AssertUnwindSafe(work)).map_err(|_| Fault::new(&Error::Internal { what: what.into() }))
+}
+
+/// The files that a scene names as it is now: itself, buffers, images. Only itself where it cannot be understood. A
+/// parser may panic over what they hold.
 pub fn named(scene: &Path) -> BTreeSet<PathBuf> {
     let limits = Limits::default();
     let mut files = Files::beside(scene, &limits);
@@ -102,9 +117,7 @@ pub fn named(scene: &Path) -> BTreeSet<PathBuf> {
         let images = document.root.images.iter().filter_map(|i| i.uri.as_deref());
         Some(buffers.chain(images).filter_map(|uri| files.path_of(uri, "").ok()?).collect())
     };
-    // What makes a parser panic comes out in the bake, as that scene's error; the watch of the others goes on.
-    let named: Option<BTreeSet<PathBuf>> = std::panic::catch_unwind(AssertUnwindSafe(&mut read)).unwrap_or_default();
-    let mut named = named.unwrap_or_default();
+    let mut named: BTreeSet<PathBuf> = read().unwrap_or_default();
     named.insert(scene.to_path_buf());
     named
 }
@@ -190,6 +203,18 @@ mod tests {
         // What it names may lie under another spelling, where exporters do not encode.
         std::fs::write(at("a%20b.bin"), "x").unwrap();
         assert!(named(&at("s.gltf")).contains(&at("a%20b.bin")));
+    }
+
+    #[test]
+    fn a_panic_is_the_fault_of_its_scene() {
+        let folder = folder(&[("s.gltf", SCENE)]);
+        let scene = folder.path().join("s.gltf");
+        let choices = Choices { config: None, flags: Layer::new(Origin::CommandLine) };
+        let (settings, files) = read(&scene, &choices);
+        assert!(settings.is_ok() && files == named(&scene) && files.len() == 3);
+        let empty: Vec<u8> = Vec::new();
+        let fault = guarded(|| empty[scene.as_os_str().len()]).unwrap_err();
+        assert!(fault.error.contains("internal error"), "{fault:?}");
     }
 
     #[test]

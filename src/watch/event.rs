@@ -13,9 +13,9 @@
 //! | `unchanged` | `scene`, `files` [text] | files were touched, and hold what they held |
 //! | `removed` | `scene` | a scene has gone; its outputs stay |
 //! | `baking` | `scene` | a bake begins |
-//! | `overtaken` | `scene` | a bake was stopped, because its files have changed meanwhile; another one follows |
+//! | `overtaken` | `scene` | a bake was stopped, because its files have changed meanwhile; another one follows unless they were changed back or removed |
 //! | `baked` | `scene`, `seconds`, `outputs` [text], `quality` {name: number}, `warnings` [{`code`, `message`}] | a bake has ended well; all its files are in place |
-//! | `failed` | `scene`, `error`, `causes` [text] | the scene cannot be baked as it is now; its last good outputs stay |
+//! | `failed` | `scene`, `error`, `causes` [text] | the scene cannot be baked as it is now; its last good outputs stay; it is tried again when a file of it changes or, if the fault lies neither in its files nor in its settings, is touched |
 //! | `current` | `scene` | a scene is what its outputs were made from, when it is found or again after it was broken: nothing is baked |
 //! | `idle` | `scenes` number, `failed` [text] | everything is as current as it can be |
 //! | `stopped` | `scenes` number, `failed` [text] | the last one: the watch was asked to end |

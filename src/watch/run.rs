@@ -253,7 +253,7 @@ impl Course<'_, '_, '_> {
                     self.bake(request, look);
                 }
             }
-            (Err(fault), _) | (_, Err(fault)) => self.failed(scene, look, fault),
+            (Err(fault), _) | (_, Err(fault)) => self.failed(scene, look, fault, true),
         }
         true
     }
@@ -292,7 +292,7 @@ impl Course<'_, '_, '_> {
         if let Err(error) = std::thread::Builder::new().name("luxel bake".into()).spawn_scoped(self.scope, work) {
             let fault = Fault { error: "cannot start a thread for the bake".into(), causes: vec![error.to_string()] };
             if let Some(running) = self.running.take() {
-                self.failed(running.scene, running.look, fault);
+                self.failed(running.scene, running.look, fault, false);
             }
         }
     }
@@ -303,19 +303,25 @@ impl Course<'_, '_, '_> {
             Ok(Finished { done, inputs }) => {
                 self.book.succeeded(&scene, &look, &inputs, done.outputs.clone());
                 self.untold.remove(&scene);
-                self.voice.say(Event::Baked { scene, done });
+                self.voice.say(Event::Baked { scene: scene.clone(), done });
+                let voice = &mut self.voice;
+                self.book.look(&scene, &mut |event| voice.say(event));
                 self.arm(&Hints::default());
             }
             // What an overtaken bake stumbles over is no more.
             Err(_) if overtaken => self.voice.say(Event::Overtaken { scene }),
             Err(Error::Cancelled) if self.stopping => {}
-            Err(error) => self.failed(scene, look, Fault::new(&error)),
+            Err(error) => {
+                // Whatever else stands in the way lies outside of the scene's files, at least in part.
+                let is_lasting = matches!(error, Error::Settings(_) | Error::Import(_));
+                self.failed(scene, look, Fault::new(&error), is_lasting);
+            }
         }
     }
 
-    fn failed(&mut self, scene: PathBuf, look: Look, fault: Fault) {
+    fn failed(&mut self, scene: PathBuf, look: Look, fault: Fault, is_lasting: bool) {
         self.untold.insert(scene.clone(), self.now() + SETTLED);
-        self.book.failed_as(&scene, look, fault);
+        self.book.failed_as(&scene, look, fault, is_lasting);
     }
 
     /// Tells the errors of scenes that have been still.

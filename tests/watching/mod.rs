@@ -25,6 +25,8 @@ struct Log {
     ended_well: usize,
     /// Bakes wait for it until they are cancelled.
     is_shut: bool,
+    /// They do not heed that they were cancelled, as one that is about to end.
+    is_deaf: bool,
     /// One has read its files and waits.
     is_held: bool,
 }
@@ -133,6 +135,11 @@ impl Bench {
         self.log.1.notify_all();
     }
 
+    /// Bakes end well from now on even where they were cancelled.
+    pub fn deafen(&self) {
+        self.log.0.lock().unwrap().is_deaf = true;
+    }
+
     /// Waits until a bake has read its files and waits.
     pub fn held(&self) {
         let log = self.log.0.lock().unwrap();
@@ -171,16 +178,17 @@ fn work(log: &(Mutex<Log>, Condvar), task: &Task) -> Result<Finished, luxel::Err
     let mut state = log.0.lock().unwrap();
     state.is_held = state.is_shut;
     log.1.notify_all();
-    while state.is_shut && !task.cancelled.load(Ordering::Relaxed) {
+    let is_cancelled = |log: &Log| !log.is_deaf && task.cancelled.load(Ordering::Relaxed);
+    while state.is_shut && !is_cancelled(&state) {
         state = log.1.wait_timeout(state, Duration::from_millis(5)).unwrap().0;
     }
     state.is_held = false;
-    if task.cancelled.load(Ordering::Relaxed) {
+    if is_cancelled(&state) {
         return Err(luxel::Error::Cancelled);
     }
     drop(state);
     let glb = task.request.outputs.glb();
-    luxel_export::write_atomic(&glb, &light(&scene)).unwrap();
+    luxel_export::write_atomic(&glb, &light(&scene))?;
     Ok(Finished { done: Done { outputs: vec![glb], ..Done::default() }, inputs: scene.inputs })
 }
 
