@@ -25,6 +25,7 @@
 //! number of threads to decide a value; only import, cache and export touch files.
 
 pub mod bake;
+mod content;
 pub mod current;
 pub mod discover;
 mod error;

@@ -7,10 +7,10 @@ use luxel_export::Original;
 use luxel_scene::{ImportOptions, InputFile, Limits, Progress, Scene, Sky, SkyImage, import};
 
 use crate::Error;
+use crate::content::{Content, named};
 use crate::plan::{Plan, Stage};
 use crate::settings::{FIELDS, Settings, SkySetting};
 use crate::store::Key;
-use crate::watch::depend::{Content, named};
 
 /// Reads the scene, what of its file the export will write again, and plans the bake.
 ///

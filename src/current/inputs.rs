@@ -14,8 +14,8 @@ use serde_json::Value as Json;
 
 use super::Reason;
 use crate::Error;
+use crate::content::{Content, named, sky};
 use crate::settings::Resolved;
-use crate::watch::depend::{Content, named, sky};
 
 /// What has become of the inputs.
 #[derive(Debug, Default)]

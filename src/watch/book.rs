@@ -12,9 +12,10 @@ use luxel_export::OutputSet;
 use luxel_scene::InputFile;
 
 use super::Options;
-use super::depend::{Content, Digests, Look, read, sky};
+use super::depend::{Digests, Look, read};
 use super::event::{Event, Fault};
 use super::place::{Place, leads_to};
+use crate::content::{Content, sky};
 use crate::discover::{self, Found, is_scene, is_searched};
 
 /// One scene.
@@ -143,7 +144,11 @@ impl Book {
         let mut touched: BTreeMap<PathBuf, BTreeSet<PathBuf>> = BTreeMap::new();
         let mut whole = everywhere;
         for path in paths.keys() {
-            for (scene, file) in self.depending(path) {
+            let depending = self.depending(path);
+            // Of a scene that was away only a search finds out that it is back.
+            let is_here = |scene: &PathBuf| self.items.get(scene).is_some_and(|i| i.here);
+            let known = !depending.is_empty() && depending.iter().all(|(scene, _)| is_here(scene));
+            for (scene, file) in depending {
                 self.digests.forget(&file);
                 touched.entry(scene).or_default().insert(file);
             }
@@ -151,10 +156,6 @@ impl Book {
             for scene in missed {
                 touched.entry(scene).or_default();
             }
-            // Of a scene that was away only a search finds out that it is back.
-            let depending = self.depending(path);
-            let is_here = |scene: &PathBuf| self.items.get(scene).is_some_and(|i| i.here);
-            let known = !depending.is_empty() && depending.iter().all(|(scene, _)| is_here(scene));
             whole |= !(known && path.is_file()) && (leads_to(path, &self.anchors) || self.may_be_new(path));
         }
         if whole {
@@ -317,8 +318,9 @@ impl Book {
         let items = self.items.values();
         let keys = items.flat_map(|i| i.keys.keys()).chain(&self.tree).chain(self.roots.iter().map(|p| &p.key));
         self.anchors = keys.cloned().collect();
-        let named: BTreeSet<&PathBuf> = self.items.values().flat_map(|i| i.look.files.keys()).collect();
-        self.digests.retain(|path| named.contains(&path.to_path_buf()));
+        let named: BTreeSet<&Path> =
+            self.items.values().flat_map(|i| i.look.files.keys()).map(PathBuf::as_path).collect();
+        self.digests.retain(|path| named.contains(path));
     }
 
     /// A bake of `look` has ended well, having read `inputs`. The scene is to be looked at again after that: hints of

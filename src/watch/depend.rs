@@ -5,49 +5,15 @@
 //! changed and changed back, bakes nothing. Events only say when to look.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::fs::{File, Metadata};
-use std::panic::AssertUnwindSafe;
 use std::path::{Path, PathBuf};
 
 use luxel_export::OutputSet;
-use luxel_scene::import::container::json_of;
-use luxel_scene::import::{Limits, document::Document, files::Files};
 
 use super::event::Fault;
 use super::stamp::Stamp;
-use crate::Error;
-use crate::settings::{FILE_NAME, Layer, Resolved, SettingsError, SkySetting, for_scene};
-
-/// What a file holds.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Content {
-    Absent,
-    /// BLAKE3 of its bytes.
-    Digest([u8; 32]),
-    /// It is a folder, a pipe, larger than any file that is read [bytes], or may not be read.
-    Refused(u64),
-}
-
-impl Content {
-    /// What the file holds now.
-    pub fn of(path: &Path) -> Self {
-        match std::fs::metadata(path) {
-            Ok(meta) => Self::read(path, &meta),
-            Err(error) => missing(&error, 0),
-        }
-    }
-
-    fn read(path: &Path, meta: &Metadata) -> Self {
-        // A pipe would block for ever.
-        let readable = meta.is_file() && meta.len() <= Limits::default().file_bytes;
-        if readable { digest(path, meta.len()) } else { Self::Refused(meta.len()) }
-    }
-
-    /// Its bytes can be read.
-    pub fn is_read(&self) -> bool {
-        matches!(self, Self::Digest(_))
-    }
-}
+use crate::bake::guarded;
+use crate::content::{Content, missing, named};
+use crate::settings::{FILE_NAME, Layer, Resolved, SettingsError, for_scene};
 
 /// Everything that a scene's bake follows from, at one time.
 #[derive(Clone, Debug, PartialEq)]
@@ -96,35 +62,15 @@ impl Choices {
 /// A scene's settings as the files are now, and the files that it names. Both read what anybody may have written: what
 /// makes a parser panic is this scene's fault, and the watch of the others goes on.
 pub fn read(scene: &Path, choices: &Choices) -> (Result<Resolved, Fault>, BTreeSet<PathBuf>) {
-    let work = || (choices.settings(scene).map_err(|e| Fault::new(&e)), named(scene));
-    guarded(work).unwrap_or_else(|fault| (Err(fault), BTreeSet::from([scene.to_path_buf()])))
+    guarded_read(scene, || (choices.settings(scene).map_err(|e| Fault::new(&e)), named(scene)))
 }
 
-/// What the work returns, or that it panicked.
-fn guarded<T>(work: impl FnOnce() -> T) -> Result<T, Fault> {
-    let what = "a panic while the scene's files were read";
-    std::panic::catch_unwind(AssertUnwindSafe(work)).map_err(|_| Fault::new(&Error::Internal { what: what.into() }))
-}
-
-/// The files that a scene names as it is now: itself, buffers, images. Only itself where it cannot be understood. A
-/// parser may panic over what they hold.
-pub fn named(scene: &Path) -> BTreeSet<PathBuf> {
-    let limits = Limits::default();
-    let mut files = Files::beside(scene, &limits);
-    let mut read = || {
-        let document = Document::parse(&json_of(&mut files, scene, &limits).ok()?, &limits).ok()?;
-        let buffers = document.root.buffers.iter().filter_map(|b| b.uri.as_deref());
-        let images = document.root.images.iter().filter_map(|i| i.uri.as_deref());
-        Some(buffers.chain(images).filter_map(|uri| files.path_of(uri, "").ok()?).collect())
-    };
-    let mut named: BTreeSet<PathBuf> = read().unwrap_or_default();
-    named.insert(scene.to_path_buf());
-    named
-}
-
-/// The sky image that settings name.
-pub fn sky(settings: &Resolved) -> Option<PathBuf> {
-    if let SkySetting::Image(path) = &settings.settings.sky { Some(path.clone()) } else { None }
+/// What `work` read of a scene; where it panicked, that fault and the scene alone.
+fn guarded_read<T>(
+    scene: &Path,
+    work: impl FnOnce() -> (Result<T, Fault>, BTreeSet<PathBuf>),
+) -> (Result<T, Fault>, BTreeSet<PathBuf>) {
+    guarded(|| Ok(work())).unwrap_or_else(|e| (Err(Fault::new(&e)), BTreeSet::from([scene.to_path_buf()])))
 }
 
 /// Digests of files, kept as long as their stamps stay.
@@ -164,22 +110,10 @@ impl Digests {
     }
 }
 
-fn digest(path: &Path, length: u64) -> Content {
-    let mut hasher = blake3::Hasher::new();
-    match File::open(path).and_then(|file| hasher.update_reader(file).map(|h| *h.finalize().as_bytes())) {
-        Ok(digest) => Content::Digest(digest),
-        Err(error) => missing(&error, length),
-    }
-}
-
-fn missing(error: &std::io::Error, length: u64) -> Content {
-    use std::io::ErrorKind::{NotADirectory, NotFound};
-    if matches!(error.kind(), NotFound | NotADirectory) { Content::Absent } else { Content::Refused(length) }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::content::sky;
     use crate::settings::Origin;
 
     fn folder(files: &[(&str, &str)]) -> tempfile::TempDir {
@@ -194,18 +128,6 @@ mod tests {
         {"uri":"data:;base64,AAAA","byteLength":3}],"images":[{"uri":"../wall.png"},{"uri":"https://x/y.png"}]}"#;
 
     #[test]
-    fn a_scene_names_its_buffers_and_images_whether_they_are_there_or_not() {
-        let folder = folder(&[("s.gltf", SCENE), ("broken.gltf", "{\"asset\":")]);
-        let at = |name: &str| folder.path().join(name);
-        assert_eq!(named(&at("s.gltf")), BTreeSet::from([at("s.gltf"), at("a b.bin"), at("../wall.png")]));
-        assert_eq!(named(&at("broken.gltf")), BTreeSet::from([at("broken.gltf")]));
-        assert_eq!(named(&at("none.glb")), BTreeSet::from([at("none.glb")]));
-        // What it names may lie under another spelling, where exporters do not encode.
-        std::fs::write(at("a%20b.bin"), "x").unwrap();
-        assert!(named(&at("s.gltf")).contains(&at("a%20b.bin")));
-    }
-
-    #[test]
     fn a_panic_is_the_fault_of_its_scene() {
         let folder = folder(&[("s.gltf", SCENE)]);
         let scene = folder.path().join("s.gltf");
@@ -213,8 +135,9 @@ mod tests {
         let (settings, files) = read(&scene, &choices);
         assert!(settings.is_ok() && files == named(&scene) && files.len() == 3);
         let empty: Vec<u8> = Vec::new();
-        let fault = guarded(|| empty[scene.as_os_str().len()]).unwrap_err();
-        assert!(fault.error.contains("internal error"), "{fault:?}");
+        let (fault, files) = guarded_read(&scene, || (Ok(empty[scene.as_os_str().len()]), BTreeSet::new()));
+        let error = fault.unwrap_err().error;
+        assert!(error.contains("internal error") && files == BTreeSet::from([scene]), "{error}");
     }
 
     #[test]

@@ -17,7 +17,7 @@
 
 mod batch;
 mod book;
-pub(crate) mod depend;
+mod depend;
 pub mod event;
 mod folders;
 mod place;
