@@ -40,6 +40,9 @@ pub struct Preview<'a> {
     pub irradiance: &'a Irradiance<'a>,
     /// Shown on surfaces without a lightmap [lux].
     pub mean: Rgb,
+    /// Factors on what materials emit, and on the sky.
+    pub emission: &'a [Rgb],
+    pub sky: Rgb,
 }
 
 impl Preview<'_> {
@@ -87,7 +90,7 @@ impl Preview<'_> {
         let mut first = None;
         for _ in 0..MAX_SURFACES {
             let Some(hit) = self.rays.closest(origin, direction, f32::INFINITY) else {
-                return (light + pass * geometry.scene.sky.radiance(direction), first);
+                return (light + pass * self.sky * geometry.scene.sky.radiance(direction), first);
             };
             travelled += hit.distance;
             if !hit.back || geometry.material(hit.triangle).double_sided {
@@ -95,7 +98,9 @@ impl Preview<'_> {
                 let triangle = &geometry.triangles[hit.triangle as usize];
                 first.get_or_insert((travelled, triangle.normal));
                 let e = (self.irradiance)(triangle.instance, triangle.index, hit.u, hit.v).unwrap_or(self.mean);
-                let leaving = surface.emission + surface.albedo * e / std::f32::consts::PI;
+                let mesh = geometry.scene.instances[triangle.instance as usize].mesh;
+                let emission = surface.emission * self.emission[geometry.scene.meshes[mesh].material];
+                let leaving = emission + surface.albedo * e / std::f32::consts::PI;
                 light += pass * surface.coverage * leaving;
                 pass *= surface.transmittance;
                 if pass.max_element() < 1e-3 {
@@ -249,7 +254,8 @@ mod tests {
     fn render(scene: &luxel_scene::Scene, irradiance: &Irradiance) -> Picture {
         let geometry = Geometry::new(scene);
         let rays = Rays::new(&geometry);
-        Preview { rays: &rays, irradiance, mean: Rgb::ONE }.render(&Silent).unwrap()
+        let emission = vec![Rgb::ONE; rays.geometry.scene.materials.len()];
+        Preview { rays: &rays, irradiance, mean: Rgb::ONE, emission: &emission, sky: Rgb::ONE }.render(&Silent).unwrap()
     }
 
     fn looking_at_a_wall(material: Material) -> luxel_scene::Scene {

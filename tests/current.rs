@@ -400,6 +400,10 @@ fn only_what_changed_is_baked() {
     let third = run(&[]).ended(0);
     assert_eq!((told(&third, "baked"), told(&third, "unchanged")), (vec![b.into()], vec![a.into()]));
     for (path, content) in listing(&at("baked")) {
+        // The store is not of one scene.
+        if path.components().any(|part| part.as_os_str() == ".luxel") {
+            continue;
+        }
         let is_other = path.file_name().unwrap().to_str().unwrap().starts_with("a.");
         assert_eq!(is_other && path.is_file(), path.is_file() && before[&path] == content, "{}", path.display());
     }

@@ -240,8 +240,11 @@ fn the_plan_knows_what_is_stored() {
     };
     assert!(states(&[]).is_empty());
     quick(&["bake", "cornell.glb"], folder.path()).ended(0);
-    assert_eq!(states(&[]), ["surfels", "shoot", "propagate", "cache"]);
-    assert!(states(&["--light-scale", "2"]).is_empty(), "other light is another solution");
+    let made = ["unwrap", "surfels", "shoot", "propagate", "cache", "clear", "direct", "gather"];
+    assert_eq!(states(&[]), [&made[..], &["finish"]].concat());
+    assert_eq!(states(&["--emissive-scale", "2"]), made, "stronger light is another sum of the same");
+    assert_eq!(states(&["--bounces", "2"]), ["unwrap", "surfels", "shoot", "clear", "direct"]);
+    assert_eq!(states(&["--padding", "3"]), ["surfels", "shoot", "propagate", "cache"]);
     assert!(states(&["--out", "elsewhere"]).is_empty());
     let said = quick(&["plan", "cornell.glb"], folder.path()).stdout;
     assert!(said.lines().any(|l| l.contains("propagate") && l.contains("reused")), "{said}");
@@ -266,19 +269,17 @@ fn names_that_are_taken_are_told_before_any_work() {
     let folder = folder(&["cornell.glb"]);
     std::fs::create_dir_all(folder.path().join("a/cornell.glb")).unwrap();
     std::fs::create_dir_all(folder.path().join("b/cornell.lightmap.3.exr")).unwrap();
-    std::fs::create_dir_all(folder.path().join("c/.luxel/cornell.octree")).unwrap();
-    std::fs::create_dir(folder.path().join("d")).unwrap();
-    std::fs::write(folder.path().join("d/.luxel"), b"").unwrap();
-    for (out, taken) in
-        [("a", "cornell.glb"), ("b", "cornell.lightmap.3.exr"), ("c", "cornell.octree"), ("d", ".luxel")]
-    {
+    std::fs::create_dir(folder.path().join("c")).unwrap();
+    std::fs::write(folder.path().join("c/.luxel"), b"").unwrap();
+    for (out, taken) in [("a", "cornell.glb"), ("b", "cornell.lightmap.3.exr")] {
         let output = quick(&["bake", "cornell.glb", "--out", out], folder.path());
         assert_eq!(output.code, Some(1), "{out}");
         let said = output.stderr;
         assert!(said.contains(taken) && said.contains("--out") && !said.contains("unwrap"), "{said}");
     }
-    // Where no light is stored, nobody needs the place.
-    quick(&["bake", "cornell.glb", "--out", "d", "--only", "direct"], folder.path()).ended(0);
+    // Where nothing can be stored, the bake is none the worse.
+    let said = quick(&["bake", "cornell.glb", "--out", "c"], folder.path()).ended(0).stderr;
+    assert!(said.contains(".luxel") && said.contains("cannot be stored"), "{said}");
 }
 
 /// A bake that cannot fit is refused before any work; a plan says so too.

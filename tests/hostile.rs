@@ -7,7 +7,7 @@ use std::path::Path;
 use std::time::{Duration, Instant};
 
 use glam::{DAffine3, DMat3, DVec3, Vec3};
-use luxel::settings::{Only, Preset, Settings, resolve, value::*};
+use luxel::settings::{Only, Preset, Resolved, Settings, resolve, value::*};
 use luxel::{Error, Request, bake, bake_scene, plan_file};
 use luxel_export::{ExportError, OutputSet};
 use luxel_scene::{Instance, LightKind, Material, Mesh, Scene, Silent, Sky, build::Builder};
@@ -413,11 +413,12 @@ fn every_cut_of_a_file_is_refused_by_name() {
     let bytes = std::fs::read(asset("two_rooms.glb")).unwrap();
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("cut.glb");
+    let resolved = Resolved { settings: tiny(), ..Resolved::default() };
     for length in (0..bytes.len()).step_by(37).chain([bytes.len() - 1]) {
         std::fs::write(&path, &bytes[..length]).unwrap();
-        let error = plan_file(&path, None, &tiny(), &Silent).expect_err("a cut file is no scene").to_string();
+        let error = plan_file(&path, None, &resolved, &Silent).expect_err("a cut file is no scene").to_string();
         assert!(error.contains("cut.glb"), "{error}");
     }
     std::fs::write(&path, &bytes).unwrap();
-    plan_file(&path, None, &tiny(), &Silent).unwrap();
+    plan_file(&path, None, &resolved, &Silent).unwrap();
 }

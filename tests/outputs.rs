@@ -187,6 +187,13 @@ fn extras_of_nodes_are_honoured() {
     assert_eq!(odd.warnings("invalid-extra").len(), 1);
 }
 
+/// All that a store holds.
+fn artefacts(store: &Path) -> std::collections::BTreeMap<std::path::PathBuf, Vec<u8>> {
+    let kinds = std::fs::read_dir(store).unwrap().map(|kind| kind.unwrap().path());
+    let files = kinds.flat_map(|kind| std::fs::read_dir(kind).unwrap().map(|file| file.unwrap().path()));
+    files.map(|path| (path.clone(), std::fs::read(&path).unwrap())).collect()
+}
+
 /// The outputs whose bytes do not tell the time.
 fn timeless(folder: &Path) -> Vec<(String, Vec<u8>)> {
     files(folder).into_iter().filter(|(name, _)| !name.ends_with(".json")).collect()
@@ -205,11 +212,11 @@ fn the_stored_light_is_reused_and_a_damaged_one_made_anew() {
     assert_eq!((ran.stage("propagate").0, &ran.report["table1"]["state"]), ("ran", &json!("ran")));
     let first = timeless(&baked);
     let again = bake(&[]);
-    for stage in ["surfels", "shoot", "propagate", "cache"] {
+    for stage in ["unwrap", "surfels", "shoot", "propagate", "cache", "clear", "direct", "gather", "finish"] {
         assert_eq!(again.stage(stage).0, "reused", "{stage}");
     }
     assert!(timeless(&baked) == first, "reused light gives the same bytes");
-    assert_eq!(again.stage("gather").0, "ran");
+    assert_eq!(again.stage("export").0, "ran");
     assert_eq!(again.stage("sky").0, "left out");
     // The stored light brings its figures along; what this bake itself did is counted apart.
     assert_eq!(again.report["table1"]["state"], "reused");
@@ -229,23 +236,29 @@ fn the_stored_light_is_reused_and_a_damaged_one_made_anew() {
     assert_eq!(again.report["counters"]["discrete_rays"], 0);
     assert!(ran.report["counters"]["discrete_rays"].as_u64().unwrap() > 0);
 
-    let cache = baked.join(".luxel/cornell.octree");
-    let whole = std::fs::read(&cache).unwrap();
-    let mut torn = whole.clone();
-    torn.truncate(whole.len() / 2);
-    let mut flipped = whole.clone();
-    flipped[whole.len() - 9] ^= 4;
-    for broken in [torn, flipped, Vec::new(), b"no cache".to_vec()] {
-        std::fs::write(&cache, &broken).unwrap();
+    let stored = artefacts(&baked.join(".luxel"));
+    let half = |whole: &[u8]| whole[..whole.len() / 2].to_vec();
+    let flipped = |whole: &[u8]| {
+        let mut bytes = whole.to_vec();
+        bytes[whole.len() - 9] ^= 4;
+        bytes
+    };
+    for broken in
+        [half, flipped, |_: &[u8]| Vec::new(), |_: &[u8]| b"no artefact".to_vec()] as [fn(&[u8]) -> Vec<u8>; 4]
+    {
+        for (path, whole) in &stored {
+            std::fs::write(path, broken(whole)).unwrap();
+        }
         let rebuilt = bake(&[]);
         assert_eq!(rebuilt.stage("propagate").0, "ran");
-        let told = rebuilt.warnings("cache-miss");
-        assert!(told.len() == 1 && told[0].contains("cornell.octree"), "{told:?}");
-        assert!(timeless(&baked) == first && std::fs::read(&cache).unwrap() == whole);
+        let told = rebuilt.warnings("store");
+        assert!(told.len() > 3 && told.iter().any(|note| note.contains("solution")), "{told:?}");
+        assert!(timeless(&baked) == first && artefacts(&baked.join(".luxel")) == stored);
     }
 
     assert_eq!(bake(&["--padding", "3"]).stage("propagate").0, "reused", "the light does not know the atlas");
     assert_eq!(bake(&["--bounces", "3"]).stage("propagate").0, "ran");
+    assert_eq!(bake(&["--emissive-scale", "3"]).stage("gather").0, "reused", "light is gathered at unit power");
 }
 
 #[test]

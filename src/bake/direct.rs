@@ -24,6 +24,9 @@ const MOST_AMONG_SOLIDS: usize = 1024;
 /// The same where some surfaces let light pass: each point of a light behind one costs a ray.
 const MOST_AMONG_VEILS: usize = 128;
 
+/// Emissive polygons that are gathered one by one in any case.
+pub const LEAST_CROWD: usize = MOST_AMONG_VEILS;
+
 /// Samples of emissive surfaces for every polygon, and at least.
 const SAMPLES: (usize, usize) = (4, 1 << 14);
 

@@ -7,29 +7,28 @@ use luxel_export::{
     sample_lightmap,
 };
 use luxel_scene::Scene;
-use luxel_transport::{Rgb, geometry::Geometry, rays::Rays};
+use luxel_transport::Rgb;
 
 use super::journal::Journal;
-use super::{Lit, Request};
+use super::tracer::Tracer;
+use super::{Baking, Lit, Request};
 use crate::Error;
 use crate::plan::{Plan, Stage};
 use crate::preview::{Picture, Preview};
 
 /// The encoded preview picture; none where nothing receives light.
-pub fn preview(
-    geometry: &Geometry,
-    rays: Option<&Rays>,
-    plan: &Plan,
-    lit: &Lit,
-    journal: &mut Journal,
-) -> Result<Option<Vec<u8>>, Error> {
+pub fn preview(baking: &Baking, tracer: &Tracer, lit: &Lit, journal: &mut Journal) -> Result<Option<Vec<u8>>, Error> {
+    let Baking { plan, lighting, .. } = baking;
+    let rays =
+        if plan.runs(Stage::Preview) && plan.runs(Stage::Rays) { Some(tracer.rays(plan, journal)?) } else { None };
     let png = journal.run(plan, Stage::Preview, None, |progress, counters| {
         let picture = match rays {
             Some(rays) => {
                 let irradiance = |instance, triangle, u, v| at(lit, instance, triangle, u, v);
-                Preview { rays, irradiance: &irradiance, mean: lit.sums.mean }.render(progress)?
+                let (emission, sky) = (&lighting.emission[..], lighting.sky);
+                Preview { rays, irradiance: &irradiance, mean: lit.sums.mean, emission, sky }.render(progress)?
             }
-            None => Picture::black(geometry.scene),
+            None => Picture::black(tracer.geometry.scene),
         };
         counters.insert("pixels".into(), picture.radiance.len() as u64);
         let tone = ToneMap::auto(&picture.radiance);

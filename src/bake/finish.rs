@@ -1,23 +1,159 @@
 //! From light at texels to images: buried texels filled, padding dilated, seams stitched.
 
 use std::borrow::Cow;
+use std::collections::BTreeMap;
+use std::io::{self, Write};
 
-use luxel_atlas::{Atlas, FinishReport, FinishSettings, Image, finish};
+use luxel_atlas::{Atlas, AtlasReport, FinishReport, FinishSettings, Image, finish};
 use luxel_export::{BoundMap, Lightmap};
 use luxel_scene::{Progress, Scene};
 use luxel_transport::Rgb;
+use serde::{Deserialize, Serialize};
 
-use super::light::TexelLight;
+use super::artefact::{head, put_head, put_slice, slice};
+use super::journal::{Counters, Journal};
+use super::light::{Sums, TexelLight};
+use super::record::Record;
+use super::transport::Facts;
+use super::{Baking, Lit};
 use crate::Error;
-use crate::plan::Plan;
+use crate::plan::{Plan, Stage};
 use crate::settings::Settings;
+use crate::store::{Kind, Reader};
 
-/// Steps of [`run`]: the bounds, and the lightmaps.
-pub const STEPS: u64 = 2;
+/// Steps of the stage: the bounds, and the lightmaps.
+const STEPS: u64 = 2;
 
-/// One lightmap per page, and one map of stated bounds where the settings ask for it and the gather states one. Light
-/// that is given away lives until it lies in its page.
+/// The stages that finished images stand for.
+const STANDS_FOR: [Stage; 11] = [
+    Stage::Rays,
+    Stage::Surfels,
+    Stage::Shoot,
+    Stage::Propagate,
+    Stage::Refresh,
+    Stage::Cache,
+    Stage::Clear,
+    Stage::Direct,
+    Stage::Sky,
+    Stage::Gather,
+    Stage::Finish,
+];
+
+/// What a report says of the light in finished images.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+struct Summary {
+    sums: Sums,
+    surfels: u64,
+    record: Option<Record>,
+    /// What the stages counted, by their names.
+    counters: BTreeMap<String, Counters>,
+    pages: u32,
+    bounds: u32,
+}
+
+/// Images as they were stored.
+pub struct Finished {
+    summary: Summary,
+    lightmaps: Vec<Lightmap>,
+    bounds: Vec<BoundMap>,
+}
+
+impl Finished {
+    /// The result of a bake for which nothing was gathered: its light lies in its images alone.
+    pub fn lit(self, atlas: Atlas, atlas_report: AtlasReport) -> Lit {
+        let Self { summary: Summary { sums, surfels, record, .. }, lightmaps, bounds } = self;
+        let transport = Facts { surfels, record };
+        Lit { atlas, atlas_report, texels: TexelLight::default(), lightmaps, bounds, sums, transport }
+    }
+}
+
+/// The images, if they are stored.
+pub fn stored(baking: &Baking, atlas: &Atlas, journal: &mut Journal) -> Option<Finished> {
+    let finished = baking.store?.get(Kind::Finish, &baking.keys.finish, |body| read(body, atlas))?;
+    for stage in STANDS_FOR {
+        match finished.summary.counters.get(stage.name()) {
+            Some(counters) if baking.plan.runs(stage) => journal.reused(baking.plan, stage, counters.clone()),
+            _ => journal.left_out_unless_run(baking.plan, stage),
+        }
+    }
+    // The next edit may need them again.
+    if let Some(store) = baking.store {
+        for keys in &baking.keys.groups {
+            for (kind, key) in
+                [(Kind::Gather, keys.gather), (Kind::Direct, keys.direct), (Kind::Solution, keys.solution)]
+            {
+                store.touch(kind, &key);
+            }
+        }
+        store.touch(Kind::Surfels, &baking.keys.surfels);
+        store.touch(Kind::Clear, &baking.keys.clear);
+    }
+    Some(finished)
+}
+
+/// Makes the images, one lightmap per page, and one map of stated bounds where the settings ask for it and the gather
+/// states one.
 pub fn run(
+    baking: &Baking,
+    scene: &Scene,
+    atlas: &Atlas,
+    light: Cow<TexelLight>,
+    (sums, facts): (&Sums, &Facts),
+    journal: &mut Journal,
+) -> Result<(Vec<Lightmap>, Vec<BoundMap>), Error> {
+    let Baking { settings, plan, .. } = baking;
+    let images = journal.run(plan, Stage::Finish, Some(STEPS), |progress, counters| {
+        let (lightmaps, bounds, report) = images(scene, atlas, light, settings, plan, progress)?;
+        counters.insert("filled_texels".into(), report.filled.into());
+        counters.insert("lost_texels".into(), report.lost.into());
+        counters.insert("seam_samples".into(), report.seam_samples.into());
+        Ok((lightmaps, bounds))
+    })?;
+    let Some((lightmaps, bounds)) = images else { return Ok((Vec::new(), Vec::new())) };
+    if let Some(store) = baking.store {
+        let summary = Summary {
+            sums: *sums,
+            surfels: facts.surfels,
+            record: facts.record.clone(),
+            counters: journal.counted(&STANDS_FOR),
+            pages: lightmaps.len() as u32,
+            bounds: bounds.len() as u32,
+        };
+        store.put(Kind::Finish, &baking.keys.finish, |out| write(out, &summary, &lightmaps, &bounds));
+    }
+    Ok((lightmaps, bounds))
+}
+
+fn write(out: &mut impl Write, summary: &Summary, lightmaps: &[Lightmap], bounds: &[BoundMap]) -> io::Result<()> {
+    put_head(out, summary)?;
+    for lightmap in lightmaps {
+        put_slice(out, lightmap.irradiance())?;
+        put_slice(out, lightmap.coverage())?;
+    }
+    bounds.iter().try_for_each(|bound| put_slice(out, bound.bound()))
+}
+
+fn read(body: &mut Reader, atlas: &Atlas) -> Result<Finished, String> {
+    let summary: Summary = head(body)?;
+    let pages = atlas.pages.len();
+    if summary.pages as usize != pages || ![0, pages].contains(&(summary.bounds as usize)) {
+        return Err("it has other pages".into());
+    }
+    let lightmap = |page: &luxel_atlas::Page, body: &mut Reader| {
+        let (irradiance, coverage) = (slice(body)?, slice(body)?);
+        Lightmap::new(page.width, page.height, irradiance, coverage).map_err(|e| e.to_string())
+    };
+    let lightmaps = atlas.pages.iter().map(|page| lightmap(page, body)).collect::<Result<_, String>>()?;
+    let bound = |page: &luxel_atlas::Page, body: &mut Reader| {
+        BoundMap::new(page.width, page.height, slice(body)?).map_err(|e| e.to_string())
+    };
+    let with_bound = &atlas.pages[..summary.bounds as usize];
+    let bounds = with_bound.iter().map(|page| bound(page, body)).collect::<Result<_, String>>()?;
+    Ok(Finished { summary, lightmaps, bounds })
+}
+
+/// Light that is given away lives until it lies in its page.
+fn images(
     scene: &Scene,
     atlas: &Atlas,
     light: Cow<TexelLight>,

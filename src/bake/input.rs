@@ -2,10 +2,10 @@
 
 use std::path::{Path, PathBuf};
 
-use luxel_atlas::AtlasSettings;
 use luxel_export::Original;
 use luxel_scene::{ImportOptions, InputFile, Limits, Progress, Scene, Sky, SkyImage, import};
 
+use super::groups::Lighting;
 use crate::Error;
 use crate::content::{Content, named};
 use crate::plan::{Plan, Stage};
@@ -16,16 +16,26 @@ use crate::store::Key;
 ///
 /// The latter is read now because a fault in it must not come out after the bake, and kept because the file may be
 /// another one by then: who saves a level while it is baked still gets the light of the level that was.
-pub fn open(path: &Path, settings: &Settings, progress: &dyn Progress) -> Result<(Scene, Original, Plan), Error> {
-    let scene = load(path, settings)?;
+pub fn open(path: &Path, settings: &Settings, progress: &dyn Progress) -> Result<Opened, Error> {
+    let mut scene = load(path, settings)?;
     progress.advance(1);
     progress.check()?;
     let original = Original::read(path)?;
     original.check_unchanged(&scene.inputs)?;
+    let lighting = Lighting::part(&mut scene, settings);
     let mut plan = Plan::new(&scene, settings);
     plan.weigh(original.bytes());
     progress.advance(1);
-    Ok((scene, original, plan))
+    Ok(Opened { scene, lighting, original, plan })
+}
+
+/// A scene that is ready to be baked.
+pub struct Opened {
+    /// With its lights at their units.
+    pub scene: Scene,
+    pub lighting: Lighting,
+    pub original: Original,
+    pub plan: Plan,
 }
 
 /// Steps of [`open`].
@@ -88,15 +98,6 @@ impl Inputs {
         let is_missing = |file: &PathBuf| !read.iter().any(|i| i.path == *file) && !Content::of(file).is_read();
         let missing = named(path).into_iter().filter(is_missing).collect();
         Self { read, missing }
-    }
-}
-
-pub fn atlas_settings(settings: &Settings) -> AtlasSettings {
-    AtlasSettings {
-        size: settings.size.0,
-        texel_density: settings.texel_density.0,
-        padding: settings.padding.0,
-        ..AtlasSettings::default()
     }
 }
 

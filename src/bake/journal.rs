@@ -12,15 +12,37 @@ use crate::plan::{Plan, Stage};
 /// What a stage counted, by name.
 pub type Counters = BTreeMap<String, u64>;
 
-/// Runs stages as the plan says and writes down what happened.
+/// Counters of which several runs of a stage have the largest one, not the sum.
+const LARGEST: [&str; 3] = ["surfels", "longest_cut", "closed"];
+
+/// Runs stages as the plan says and writes down what happened. A stage may run several times, once for each light
+/// group, and be reused in between; it is one entry all the same.
 pub struct Journal<'a> {
     pub progress: &'a dyn Progress,
     pub entries: Vec<Entry>,
+    /// What has changed since the last bake, as far as that is known: why stages need not run.
+    pub cause: String,
+    /// The light group at work, where there are several.
+    pub group: Option<String>,
+    /// What stages counted that ran in this very bake, and what in their last run.
+    ran: BTreeMap<Stage, Counters>,
+    last: BTreeMap<Stage, Counters>,
+    /// Groups for which stages were reused, and for which they ran.
+    by_group: BTreeMap<Stage, [Vec<String>; 2]>,
 }
 
 impl<'a> Journal<'a> {
     pub fn new(progress: &'a dyn Progress) -> Self {
-        Self { progress, entries: Vec::new() }
+        let cause = "its input was seen before".into();
+        Self {
+            progress,
+            entries: Vec::new(),
+            cause,
+            group: None,
+            ran: BTreeMap::new(),
+            last: BTreeMap::new(),
+            by_group: BTreeMap::new(),
+        }
     }
 
     /// Runs a stage that the plan wants; `None` for one that it leaves out. `total` is its amount of work in its own
@@ -47,26 +69,85 @@ impl<'a> Journal<'a> {
         total: Option<u64>,
         work: impl FnOnce(&dyn Progress, &mut Counters) -> Result<T, Error>,
     ) -> Result<T, Error> {
+        self.made(stage, reason, total, |progress, counters| Ok((work(progress, counters)?, StageState::Ran)))
+    }
+
+    /// Runs a stage that finds out by itself whether all that it needs is stored.
+    pub fn made<T>(
+        &mut self,
+        stage: Stage,
+        reason: &str,
+        total: Option<u64>,
+        work: impl FnOnce(&dyn Progress, &mut Counters) -> Result<(T, StageState), Error>,
+    ) -> Result<T, Error> {
         self.progress.check()?;
         if let Some(total) = total {
             self.progress.begin(stage.name(), total);
         }
         let mut counters = Counters::new();
         let start = Instant::now();
-        let result = work(self.progress, &mut counters)?;
-        self.note(stage, StageState::Ran, reason, start.elapsed().as_secs_f64(), counters);
+        let (result, state) = work(self.progress, &mut counters)?;
+        if state == StageState::Reused {
+            let reason = format!("stored: {}", self.cause);
+            self.note(stage, state, &reason, 0.0, counters);
+            return Ok(result);
+        }
+        add(self.ran.entry(stage).or_default(), &counters);
+        self.last.insert(stage, counters.clone());
+        self.note(stage, state, reason, start.elapsed().as_secs_f64(), counters);
         Ok(result)
     }
 
-    /// Writes a stage down.
-    pub fn note(&mut self, stage: Stage, state: StageState, reason: &str, seconds: f64, counters: Counters) {
-        let (name, reason) = (stage.name().to_owned(), reason.to_owned());
-        self.entries.push(Entry { name, state, reason, seconds, counters });
+    /// Writes a stage down: as another part of one that is written down already, if it is.
+    fn note(&mut self, stage: Stage, state: StageState, reason: &str, seconds: f64, counters: Counters) {
+        if let Some(group) = self.group.as_ref().filter(|_| state != StageState::LeftOut) {
+            let lists = self.by_group.entry(stage).or_default();
+            lists[usize::from(state == StageState::Ran)].push(group.clone());
+        }
+        let Some(entry) = self.entries.iter_mut().find(|e| e.name == stage.name()) else {
+            let (name, reason) = (stage.name().to_owned(), reason.to_owned());
+            self.entries.push(Entry { name, state, reason, seconds, counters });
+            return;
+        };
+        entry.seconds += seconds;
+        add(&mut entry.counters, &counters);
+        if entry.state != StageState::Ran && state == StageState::Ran {
+            entry.state = state;
+            entry.reason = reason.into();
+        }
+    }
+
+    /// A stage whose result was stored; `counters` are those of when it ran.
+    pub fn reused(&mut self, plan: &Plan, stage: Stage, counters: Counters) {
+        if plan.runs(stage) {
+            let reason = format!("stored: {}", self.cause);
+            self.note(stage, StageState::Reused, &reason, 0.0, counters);
+        }
+    }
+
+    /// All entries, in the order of the chain, with the groups that a stage ran for where that was not for all.
+    pub fn close(mut self) -> Vec<Entry> {
+        for (stage, [reused, ran]) in &self.by_group {
+            let both = !reused.is_empty() && !ran.is_empty();
+            if let Some(entry) = self.entries.iter_mut().find(|e| both && e.name == stage.name()) {
+                entry.reason += &format!("; for {}, stored for {}", ran.join(", "), reused.join(", "));
+            }
+        }
+        let place = |entry: &Entry| Stage::ALL.iter().position(|stage| stage.name() == entry.name);
+        self.entries.sort_by_key(place);
+        self.entries
     }
 
     /// A stage that the plan leaves out.
     pub fn left_out(&mut self, plan: &Plan, stage: Stage) {
         self.note(stage, StageState::LeftOut, plan.reason(stage), 0.0, Counters::new());
+    }
+
+    /// The same, said once, and nothing of a stage that the plan runs: one that this part of the bake has no use for.
+    pub fn left_out_unless_run(&mut self, plan: &Plan, stage: Stage) {
+        if !plan.runs(stage) && self.entry(stage).is_none() {
+            self.left_out(plan, stage);
+        }
     }
 
     /// Gives the reason of a stage that ran before there was a plan.
@@ -93,7 +174,7 @@ impl<'a> Journal<'a> {
 
     /// A counter of a stage, if this very bake ran it.
     pub fn count_run(&self, stage: Stage, counter: &str) -> u64 {
-        if self.state(stage) == Some(StageState::Ran) { self.count(stage, counter) } else { 0 }
+        self.ran.get(&stage).and_then(|counters| counters.get(counter)).copied().unwrap_or_default()
     }
 
     /// What became of a stage so far.
@@ -101,8 +182,61 @@ impl<'a> Journal<'a> {
         self.entry(stage).map(|e| e.state)
     }
 
-    /// What a stage counted.
-    pub fn counters(&self, stage: Stage) -> Counters {
-        self.entry(stage).map(|e| e.counters.clone()).unwrap_or_default()
+    /// What a stage counted in its last run in this bake.
+    pub fn last(&self, stage: Stage) -> Counters {
+        self.last.get(&stage).cloned().unwrap_or_default()
+    }
+
+    /// What stages counted, by their names: to be kept with what they made.
+    pub fn counted(&self, stages: &[Stage]) -> BTreeMap<String, Counters> {
+        let entries = self.entries.iter().filter(|e| stages.iter().any(|stage| stage.name() == e.name));
+        entries.map(|e| (e.name.clone(), e.counters.clone())).collect()
+    }
+}
+
+/// Adds the counters of another run.
+fn add(to: &mut Counters, more: &Counters) {
+    for (name, count) in more {
+        let sum = to.entry(name.clone()).or_default();
+        *sum = if LARGEST.contains(&name.as_str()) { (*sum).max(*count) } else { *sum + count };
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::settings::Settings;
+    use luxel_scene::Silent;
+
+    fn plan() -> Plan {
+        Plan::new(&luxel_assets::cornell(), &Settings::default())
+    }
+
+    #[test]
+    fn a_stage_that_runs_for_several_groups_is_one_entry() {
+        let (plan, mut journal) = (plan(), Journal::new(&Silent));
+        journal.cause = "only lights changed".into();
+        let count = |n: u64| Counters::from([("rays".to_owned(), n), ("longest_cut".to_owned(), n)]);
+        journal.run(&plan, Stage::Export, None, |_, _| Ok(())).unwrap();
+        journal.group = Some("lamps".into());
+        journal.reused(&plan, Stage::Gather, count(5));
+        journal.group = Some("sun".into());
+        let run = |_: &dyn Progress, counters: &mut Counters| {
+            *counters = count(3);
+            Ok(())
+        };
+        journal.run(&plan, Stage::Gather, None, run).unwrap();
+        journal.group = None;
+        journal.reused(&plan, Stage::Surfels, count(1));
+        journal.reused(&plan, Stage::Sky, count(1));
+        assert_eq!(journal.count(Stage::Gather, "rays"), 8);
+        assert_eq!(journal.count(Stage::Gather, "longest_cut"), 5);
+        assert_eq!(journal.count_run(Stage::Gather, "rays"), 3);
+        let entries = journal.close();
+        let names: Vec<&str> = entries.iter().map(|e| e.name.as_str()).collect();
+        assert_eq!(names, ["surfels", "gather", "export"], "a stage that the plan leaves out is not reused");
+        assert_eq!((entries[0].state, entries[1].state), (StageState::Reused, StageState::Ran));
+        assert_eq!(entries[0].reason, "stored: only lights changed");
+        assert!(entries[1].reason.ends_with("; for sun, stored for lamps"), "{}", entries[1].reason);
     }
 }

@@ -6,6 +6,7 @@
 
 use luxel_atlas::Atlas;
 use luxel_transport::Rgb;
+use serde::{Deserialize, Serialize};
 
 /// Light at the texels of an atlas, in their order.
 #[derive(Clone, Debug, Default)]
@@ -32,7 +33,7 @@ pub struct Parts {
 }
 
 /// Sums over the texels of an atlas, in f64 and in their order.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Sums {
     /// Of texels that are not buried and covered by half at least [scene units squared].
     pub area: f64,
@@ -61,6 +62,20 @@ impl Parts {
     /// Direct and indirect light of a texel.
     pub fn total(&self, texel: usize) -> Rgb {
         self.direct[texel] + self.indirect[texel]
+    }
+
+    /// The light of stronger sources, by band. A bound is that of the band mean: the strongest band bounds it.
+    pub fn scaled(mut self, factor: Rgb) -> Self {
+        self.direct.iter_mut().chain(&mut self.indirect).for_each(|e| *e *= factor);
+        self.bound.iter_mut().for_each(|bound| *bound *= factor.max_element());
+        self
+    }
+
+    /// Adds the light of other sources at the same texels.
+    pub fn add(&mut self, other: &Self) {
+        self.direct.iter_mut().zip(&other.direct).for_each(|(sum, e)| *sum += *e);
+        self.indirect.iter_mut().zip(&other.indirect).for_each(|(sum, e)| *sum += *e);
+        self.bound.iter_mut().zip(&other.bound).for_each(|(sum, bound)| *sum += *bound);
     }
 
     /// Adds the parts up in the memory of the first; the light is that of all texels of `atlas`.

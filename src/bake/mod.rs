@@ -1,15 +1,23 @@
 //! The bake of one scene: the whole chain, stage by stage, from a file to files.
 
+mod artefact;
+mod atlas;
+mod cause;
 mod direct;
 mod export;
 mod finish;
+mod foresee;
+mod groups;
 mod input;
 pub mod journal;
+mod keys;
 mod light;
 mod memory;
+mod receivers;
 mod record;
 mod report;
 mod texels;
+mod tracer;
 mod transport;
 
 use std::borrow::Cow;
@@ -20,16 +28,21 @@ use std::time::Instant;
 use luxel_atlas::{Atlas, AtlasReport, InProcess, Unwrapper, Worker};
 use luxel_export::{BoundMap, Lightmap, OutputSet, Report, report::Warning};
 use luxel_scene::{InputFile, Progress, Scene};
-use luxel_transport::{geometry::Geometry, rays::Rays};
+use luxel_transport::geometry::Geometry;
 
 use crate::Error;
 use crate::plan::{Plan, Stage};
 use crate::settings::{Resolved, Settings};
-use crate::store::StoreOptions;
+use crate::store::{Store, StoreOptions};
+use groups::Lighting;
 use journal::Journal;
+use keys::Keys;
 use light::Parts;
 pub use light::TexelLight;
+use receivers::Receivers;
 pub(crate) use report::{json_form, versions};
+use tracer::Tracer;
+use transport::Transport;
 
 /// What to bake, where to, and how.
 #[derive(Clone, Debug)]
@@ -81,6 +94,15 @@ enum Keep {
     Images,
 }
 
+/// What every stage of a bake is told.
+struct Baking<'a> {
+    settings: &'a Settings,
+    plan: &'a Plan,
+    lighting: &'a Lighting,
+    keys: &'a Keys,
+    store: Option<&'a Store>,
+}
+
 /// Bakes a scene file to files (the chain is shown in the crate's documentation). When it fails or is cancelled, the
 /// files of an earlier bake are untouched.
 pub fn bake(request: &Request, progress: &dyn Progress) -> Result<Baked, Error> {
@@ -91,36 +113,40 @@ fn run(request: &Request, progress: &dyn Progress) -> Result<Baked, Error> {
     let start = Instant::now();
     let settings = &request.settings.settings;
     let mut journal = Journal::new(progress);
-    let (scene, original, mut plan) = journal.always(Stage::Import, "", Some(input::STEPS), |progress, counters| {
-        let (scene, original, plan) = input::open(&request.scene, settings, progress)?;
-        counters.insert("triangles".into(), scene.triangle_count() as u64);
-        counters.insert("files".into(), scene.inputs.len() as u64);
-        Ok((scene, original, plan))
+    let opened = journal.always(Stage::Import, "", Some(input::STEPS), |progress, counters| {
+        let opened = input::open(&request.scene, settings, progress)?;
+        counters.insert("triangles".into(), opened.scene.triangle_count() as u64);
+        counters.insert("files".into(), opened.scene.inputs.len() as u64);
+        Ok(opened)
     })?;
+    let input::Opened { scene, lighting, original, mut plan } = opened;
     journal.explain(Stage::Import, plan.reason(Stage::Import));
     plan.warnings.extend(memory::check(&plan.least_memory(settings))?);
     let inputs = input::Inputs::new(&request.scene, &scene, &original);
     let key = input::key(&scene, settings, &Stage::ALL, matters);
+    let keys = Keys::new(&scene, &lighting, settings, &plan);
+    journal.cause = cause::of(&request.outputs, &keys, &request.settings);
     let geometry = Geometry::new(&scene);
     export::probe(&request.outputs)?;
-    let store = transport::Store::new(&request.outputs, &scene, settings);
-    if plan.runs(Stage::Cache) {
-        store.probe()?;
-    }
-    let (lit, rays) = match &request.worker {
-        Some(path) => light(&geometry, settings, &plan, &worker(path), Some(&store), Keep::Images, &mut journal)?,
-        None => light(&geometry, settings, &plan, &InProcess, Some(&store), Keep::Images, &mut journal)?,
+    let store = request.store.open(request.outputs.folder());
+    let baking = Baking { settings, plan: &plan, lighting: &lighting, keys: &keys, store: Some(&store) };
+    let tracer = Tracer::new(&geometry);
+    let lit = match &request.worker {
+        Some(path) => light(&baking, &tracer, &worker(path), Keep::Images, &mut journal)?,
+        None => light(&baking, &tracer, &InProcess, Keep::Images, &mut journal)?,
     };
-    let picture = export::preview(&geometry, rays.as_ref(), &plan, &lit, &mut journal)?;
-    drop(rays);
-    let mut report = report::start(&scene, &inputs, &plan, &request.settings);
+    let picture = export::preview(&baking, &tracer, &lit, &mut journal)?;
+    drop(tracer);
+    let mut report = report::start(&scene, &inputs, &plan, &request.settings, &keys.parts);
     let glb = export::glb(request, &original, &scene, &plan, &lit, &mut report, &mut journal)?;
-    report::fill(&mut report, &scene, settings, &plan, &lit, &journal, start.elapsed().as_secs_f64());
+    let warnings = store.take_notes();
+    report::fill(&mut report, &scene, &baking, &lit, warnings, journal, start.elapsed().as_secs_f64());
     // From here on the old files are replaced.
     progress.check()?;
     // Beside the encoders lives what they read.
     let Lit { lightmaps, bounds, .. } = lit;
     let files = export::write(&request.outputs, (&lightmaps, &bounds), picture.as_deref(), &glb, &key, &mut report)?;
+    store.evict();
     Ok(Baked { report, files, inputs: inputs.read, seconds: start.elapsed().as_secs_f64() })
 }
 
@@ -132,89 +158,100 @@ pub(crate) fn matters(setting: &str) -> bool {
 /// Bakes a scene in memory: atlas, light at texels, finished images; no file is read or written.
 pub fn bake_scene(scene: &Scene, settings: &Settings, progress: &dyn Progress) -> Result<Lit, Error> {
     with_threads(settings, || {
-        let plan = Plan::new(scene, settings);
-        let geometry = Geometry::new(scene);
-        Ok(light(&geometry, settings, &plan, &InProcess, None, Keep::Texels, &mut Journal::new(progress))?.0)
+        let mut scene = scene.clone();
+        let lighting = Lighting::part(&mut scene, settings);
+        let plan = Plan::new(&scene, settings);
+        let keys = Keys::new(&scene, &lighting, settings, &plan);
+        let geometry = Geometry::new(&scene);
+        let baking = Baking { settings, plan: &plan, lighting: &lighting, keys: &keys, store: None };
+        light(&baking, &Tracer::new(&geometry), &InProcess, Keep::Texels, &mut Journal::new(progress))
     })
 }
 
 /// What a bake of the file would do.
 ///
-/// With the place of its outputs, it looks there for stored light and marks the stages that would reuse it.
+/// With the place of its outputs, it looks into the store there, or into the one that is named, and marks the stages
+/// that would be reused.
 pub fn plan_file(
     path: &Path,
-    outputs: Option<&OutputSet>,
-    settings: &Settings,
+    outputs: Option<(&OutputSet, &StoreOptions)>,
+    settings: &Resolved,
     progress: &dyn Progress,
 ) -> Result<Plan, Error> {
     guarded(|| {
         progress.begin(Stage::Import.name(), input::STEPS);
-        let (scene, _, mut plan) = input::open(path, settings, progress)?;
+        let resolved = settings;
+        let settings = &settings.settings;
+        let input::Opened { scene, lighting, mut plan, .. } = input::open(path, settings, progress)?;
         match memory::check(&plan.least_memory(settings)) {
             Ok(warning) => plan.warnings.extend(warning),
             // A plan is what one asks for in order to find out.
             Err(refusal) => plan.warnings.push(Warning { code: "memory".into(), message: refusal.to_string() }),
         }
-        if let Some(outputs) = outputs {
-            transport::foresee(&mut plan, &transport::Store::new(outputs, &scene, settings), &scene);
+        if let Some((outputs, store)) = outputs {
+            let keys = Keys::new(&scene, &lighting, settings, &plan);
+            let why = cause::of(outputs, &keys, resolved);
+            foresee::mark(&mut plan, &store.open(outputs.folder()), &scene, &lighting, &keys, &why);
         }
         Ok(plan)
     })
 }
 
 /// The middle of the chain: from the scene to finished images.
-fn light<'g>(
-    geometry: &'g Geometry<'g>,
-    settings: &Settings,
-    plan: &Plan,
+fn light(
+    baking: &Baking,
+    tracer: &Tracer,
     unwrapper: &dyn Unwrapper,
-    store: Option<&transport::Store>,
     keep: Keep,
     journal: &mut Journal,
-) -> Result<(Lit, Option<Rays<'g>>), Error> {
-    let scene = geometry.scene;
-    let unwrapped = journal.run(plan, Stage::Unwrap, None, |progress, counters| {
-        let (atlas, report) = luxel_atlas::build(scene, &input::atlas_settings(settings), unwrapper, progress)?;
-        counters.insert("pages".into(), atlas.pages.len() as u64);
-        counters.insert("charts".into(), atlas.charts.len() as u64);
-        counters.insert("texels".into(), atlas.texels.len() as u64);
-        counters.insert("unwrapped_meshes".into(), u64::from(report.unwrapped));
-        counters.insert("shared_unwraps".into(), u64::from(report.shared));
-        counters.insert("kept_layouts".into(), report.kept.len() as u64);
-        Ok((atlas, report))
-    })?;
-    if let Some((_, report)) = &unwrapped {
-        journal.explain(Stage::Unwrap, &format!("{}; {}", plan.reason(Stage::Unwrap), report::layouts(report)));
+) -> Result<Lit, Error> {
+    let scene = tracer.geometry.scene;
+    let (atlas, atlas_report) = atlas::run(baking, scene, unwrapper, journal)?;
+    if let Some(finished) = finish::stored(baking, &atlas, journal) {
+        return Ok(finished.lit(atlas, atlas_report));
     }
-    // Without an unwrap no instance has a place, and the atlas still says so of every one of them.
-    let nowhere = || (Atlas { placed: vec![None; scene.instances.len()], ..Atlas::default() }, AtlasReport::default());
-    let (atlas, atlas_report) = unwrapped.unwrap_or_else(nowhere);
-    let rays = journal.run(plan, Stage::Rays, Some(0), |_, _| Ok(Rays::new(geometry)))?;
-    let ((mut texels, sums), transport) = match &rays {
-        Some(rays) => {
-            let transport = transport::run(rays, settings, plan, store, journal)?;
-            let texels = texels::run(rays, &atlas, &transport, settings, plan, journal)?;
-            (texels, transport.facts)
-        }
-        None => {
-            transport::skip(plan, journal);
-            texels::skip(plan, journal);
-            (Parts::dark(atlas.texels.len(), plan.states_bound(settings)).merged(&atlas), transport::Facts::default())
-        }
-    };
-    let images = journal.run(plan, Stage::Finish, Some(finish::STEPS), |progress, counters| {
+    let (mut texels, sums, facts) = texel_light(baking, tracer, &atlas, journal)?;
+    let (lightmaps, bounds) = {
         let light = match keep {
             Keep::Texels => Cow::Borrowed(&texels),
             Keep::Images => Cow::Owned(std::mem::take(&mut texels)),
         };
-        let (lightmaps, bounds, report) = finish::run(scene, &atlas, light, settings, plan, progress)?;
-        counters.insert("filled_texels".into(), report.filled.into());
-        counters.insert("lost_texels".into(), report.lost.into());
-        counters.insert("seam_samples".into(), report.seam_samples.into());
-        Ok((lightmaps, bounds))
-    })?;
-    let (lightmaps, bounds) = images.unwrap_or_default();
-    Ok((Lit { atlas, atlas_report, texels, lightmaps, bounds, sums, transport }, rays))
+        finish::run(baking, scene, &atlas, light, (&sums, &facts), journal)?
+    };
+    Ok(Lit { atlas, atlas_report, texels, lightmaps, bounds, sums, transport: facts })
+}
+
+/// The light of all groups at texels, summed in their order.
+fn texel_light(
+    baking: &Baking,
+    tracer: &Tracer,
+    atlas: &Atlas,
+    journal: &mut Journal,
+) -> Result<(TexelLight, light::Sums, transport::Facts), Error> {
+    let Baking { settings, plan, lighting, .. } = baking;
+    let mut transport = Transport::default();
+    let mut sum: Option<Parts> = None;
+    if plan.runs(Stage::Clear) && !lighting.groups.is_empty() {
+        let key = &baking.keys.clear;
+        let store = baking.store.map(|store| (store, key));
+        let receivers = Receivers::new(tracer, atlas, settings, plan, store, journal)?;
+        for (number, group) in lighting.groups.iter().enumerate() {
+            journal.group = (lighting.groups.len() > 1).then(|| group.name.clone());
+            let parts =
+                texels::group(baking, tracer, &receivers, &mut transport, number, journal)?.scaled(group.factor);
+            match &mut sum {
+                Some(sum) => sum.add(&parts),
+                None => sum = Some(parts),
+            }
+        }
+        journal.group = None;
+    }
+    for stage in Stage::ALL.into_iter().filter(|stage| (Stage::Rays..=Stage::Gather).contains(stage)) {
+        journal.left_out_unless_run(plan, stage);
+    }
+    let parts = sum.unwrap_or_else(|| Parts::dark(atlas.texels.len(), plan.states_bound(settings)));
+    let (light, sums) = parts.merged(atlas);
+    Ok((light, sums, transport.facts))
 }
 
 /// The tool's own binary as a child that unwraps.
@@ -280,12 +317,14 @@ mod tests {
         let report = || std::fs::read(request.outputs.report()).unwrap();
         let before = report();
         for stage in ["import", "texels", "direct", "export"] {
+            // What is stored is not made.
+            drop(std::fs::remove_dir_all(request.outputs.folder().join(".luxel")));
             let error = bake(&request, &Broken(stage)).unwrap_err();
             assert!(matches!(&error, Error::Internal { what } if what.contains(stage)), "{stage}: {error}");
             assert!(error.to_string().contains("a bug in luxel"));
         }
         assert_eq!(report(), before);
-        let planned = plan_file(&request.scene, None, &Settings::default(), &Broken("import"));
+        let planned = plan_file(&request.scene, None, &Resolved::default(), &Broken("import"));
         assert!(matches!(planned, Err(Error::Internal { .. })));
         bake(&request, &Silent).unwrap();
     }

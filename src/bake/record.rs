@@ -4,18 +4,12 @@
 
 use std::collections::BTreeMap;
 
-use std::io::{self, Read, Write};
-
-use bincode::error::EncodeError;
-use bincode::serde::{decode_from_std_read, encode_into_std_write};
 use luxel_export::report::EnergyLedger;
+use luxel_transport::Rgb;
 use luxel_transport::solve::SolveReport;
 use serde::{Deserialize, Serialize};
 
 use super::journal::Counters;
-
-/// Most bytes that a stored record may take. A few hundred are usual.
-const LARGEST: usize = 1 << 16;
 
 /// How the light at surfels came about.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -58,23 +52,52 @@ impl Record {
         }
     }
 
-    pub fn write(&self, out: &mut impl Write) -> io::Result<()> {
-        match encode_into_std_write(self, out, bincode::config::standard()) {
-            Ok(_) => Ok(()),
-            Err(EncodeError::Io { inner, .. }) => Err(inner),
-            Err(error) => Err(io::Error::other(error)),
-        }
+    /// The record of lights that are stronger, by band. The figures of the operator and of its convergence stay.
+    pub fn scaled(self, factor: Rgb) -> Self {
+        let factor = factor.as_dvec3().to_array();
+        let scaled = |flux: [f64; 3]| [0, 1, 2].map(|band| flux[band] * factor[band]);
+        let EnergyLedger { emitted, from_sky, absorbed, escaped, remaining, defect, .. } = self.energy;
+        let energy = EnergyLedger {
+            emitted: scaled(emitted),
+            from_sky: scaled(from_sky),
+            absorbed: scaled(absorbed),
+            escaped: scaled(escaped),
+            remaining: scaled(remaining),
+            defect: scaled(defect),
+            ..self.energy
+        };
+        Self { energy, ..self }
     }
 
-    /// Reads a record, and nothing of what follows it.
-    pub fn read(input: &mut impl Read) -> Result<Self, String> {
-        decode_from_std_read(input, bincode::config::standard().with_limit::<LARGEST>()).map_err(|e| e.to_string())
+    /// The record of two light groups: their sums, and the worse of what converged.
+    pub fn joined(self, other: Self) -> Self {
+        let sum = |a: [f64; 3], b: [f64; 3]| [0, 1, 2].map(|band| a[band] + b[band]);
+        let (a, b) = (&self.energy, &other.energy);
+        let energy = EnergyLedger {
+            emitted: sum(a.emitted, b.emitted),
+            from_sky: sum(a.from_sky, b.from_sky),
+            absorbed: sum(a.absorbed, b.absorbed),
+            escaped: sum(a.escaped, b.escaped),
+            remaining: sum(a.remaining, b.remaining),
+            defect: sum(a.defect, b.defect),
+            ..self.energy.clone()
+        };
+        Self {
+            path_length: self.path_length.max(other.path_length),
+            directions: self.directions.max(other.directions),
+            discrete_rays: self.discrete_rays + other.discrete_rays,
+            tail: self.tail.max(other.tail),
+            rows: self.rows.or(other.rows),
+            energy,
+            counters: self.counters,
+        }
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::bake::artefact::{head, put_head};
 
     fn record() -> Record {
         let solve = SolveReport { discrete_rays: 7, tail: 0.25, ..SolveReport::default() };
@@ -85,22 +108,33 @@ mod tests {
     #[test]
     fn a_record_comes_back_with_what_follows_it() {
         let mut bytes = Vec::new();
-        record().write(&mut bytes).unwrap();
+        put_head(&mut bytes, &record()).unwrap();
         let length = bytes.len();
         bytes.extend(b"octree");
         let mut rest = &bytes[..];
-        assert_eq!(Record::read(&mut rest).unwrap(), record());
+        assert_eq!(head::<Record>(&mut rest).unwrap(), record());
         assert_eq!(rest, b"octree");
         for n in 0..length {
-            assert!(Record::read(&mut &bytes[..n]).is_err(), "{n}");
+            assert!(head::<Record>(&mut &bytes[..n]).is_err(), "{n}");
         }
     }
 
     #[test]
     fn a_claimed_size_is_not_believed() {
         // The first number is the count of stages.
-        assert!(Record::read(&mut &[253, 255, 255, 255, 255, 255, 255, 255, 0, 1, 2, 3][..]).is_err());
+        assert!(head::<Record>(&mut &[253, 255, 255, 255, 255, 255, 255, 255, 0, 1, 2, 3][..]).is_err());
         // One stage, whose name is said to be long.
-        assert!(Record::read(&mut &[1, 252, 255, 255, 255, 127, b'x'][..]).is_err());
+        assert!(head::<Record>(&mut &[1, 252, 255, 255, 255, 127, b'x'][..]).is_err());
+    }
+
+    #[test]
+    fn records_of_groups_add_up_at_the_strength_of_their_lights() {
+        let mut lamp = record();
+        lamp.energy.emitted = [1.0, 2.0, 3.0];
+        let sun = Record { tail: 0.5, path_length: 9, ..lamp.clone() }.scaled(Rgb::new(2.0, 0.0, 1.0));
+        assert_eq!(sun.energy.emitted, [2.0, 0.0, 3.0]);
+        let both = lamp.joined(sun);
+        assert_eq!((both.energy.emitted, both.discrete_rays), ([3.0, 2.0, 6.0], 14));
+        assert_eq!((both.tail, both.path_length), (0.5, 9));
     }
 }

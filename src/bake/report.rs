@@ -3,21 +3,28 @@
 use std::collections::BTreeMap;
 
 use luxel_atlas::AtlasReport;
-use luxel_export::report::{EnergyLedger, Input, Report, SceneInfo, Setting, Table1, Warning, written};
+use luxel_export::report::{EnergyLedger, Input, LightGroup, Report, SceneInfo, Setting, Table1, Warning, written};
 use luxel_scene::Scene;
 use serde_json::Value as Json;
 
-use super::Lit;
+use super::groups::Group;
 use super::input::Inputs;
 use super::journal::Journal;
 use super::light::Sums;
 use super::record::Record;
+use super::{Baking, Lit};
 use crate::plan::{Plan, Stage};
 use crate::settings::{Resolved, Settings};
 use crate::store::OCTREE;
 
 /// The part that is known before the bake.
-pub fn start(scene: &Scene, inputs: &Inputs, plan: &Plan, settings: &Resolved) -> Report {
+pub fn start(
+    scene: &Scene,
+    inputs: &Inputs,
+    plan: &Plan,
+    settings: &Resolved,
+    parts: &BTreeMap<String, String>,
+) -> Report {
     let mut report = Report::new(SceneInfo {
         name: scene.name.clone(),
         inputs: inputs.read.iter().map(Input::from).collect(),
@@ -32,6 +39,7 @@ pub fn start(scene: &Scene, inputs: &Inputs, plan: &Plan, settings: &Resolved) -
             origin: origin.to_string(),
         })
         .collect();
+    report.parts = parts.clone();
     report.warnings = plan.warnings.clone();
     report
 }
@@ -57,13 +65,14 @@ pub fn json_form(value: &str) -> Json {
 pub fn fill(
     report: &mut Report,
     scene: &Scene,
-    settings: &Settings,
-    plan: &Plan,
+    baking: &Baking,
     lit: &Lit,
-    journal: &Journal,
+    notes: Vec<String>,
+    journal: Journal,
     seconds: f64,
 ) {
-    report.stages = journal.entries.clone();
+    let Baking { settings, plan, lighting, .. } = baking;
+    report.light_groups = lighting.groups.iter().map(light_group).collect();
     let counted = |counter| Stage::ALL.iter().map(|s| journal.count_run(*s, counter)).sum::<u64>();
     for (name, count) in [
         ("triangles", plan.facts.triangles as u64),
@@ -78,12 +87,15 @@ pub fn fill(
     ] {
         report.counters.insert(name.into(), count);
     }
-    quality(report, plan, lit, settings, journal);
+    quality(report, plan, lit, settings, &journal);
     if settings.bound && !plan.states_bound(settings) {
         warn(report, "no-bound", no_bound(plan, settings));
     }
-    if let Some(miss) = &lit.transport.miss {
-        warn(report, "cache-miss", miss.clone());
+    if let Some(why) = &lighting.joined {
+        warn(report, "one-light-group", format!("all lights are one group: {why}"));
+    }
+    for note in notes {
+        warn(report, "store", note);
     }
     atlas_warnings(report, scene, lit);
     if scene.triangle_count() == 0 {
@@ -93,9 +105,15 @@ pub fn fill(
     }
     if let Some(record) = &lit.transport.record {
         let state = journal.state(Stage::Propagate).unwrap_or_default();
-        report.table1 = Some(Table1 { state, ..table1(plan, lit, journal, record, seconds) });
+        report.table1 = Some(Table1 { state, ..table1(plan, lit, &journal, record, seconds) });
         report.energy = Some(EnergyLedger { state, ..record.energy.clone() });
     }
+    report.stages = journal.close();
+}
+
+fn light_group(group: &Group) -> LightGroup {
+    let sources = group.sources.len() as u64 + u64::from(group.sky.is_some());
+    LightGroup { name: group.name.clone(), factor: group.factor.to_array(), sources }
 }
 
 /// Why a map of stated bounds that is wanted is not written.

@@ -174,9 +174,10 @@ fn plan(args: &Bake) -> anyhow::Result<u8> {
     let common = &args.common;
     let task = prepare(common, args.out.as_deref())?;
     let places = places(&task.found, args.out.as_deref())?;
+    let store = args.storing.options();
     each(&task, places, |found, outputs, reporter| {
         let settings = for_scene(&found.scene, task.config.as_ref(), &common.settings.0)?;
-        let plan = luxel::plan_file(&found.scene, Some(&outputs), &settings.settings, reporter)?;
+        let plan = luxel::plan_file(&found.scene, Some((&outputs, &store)), &settings, reporter)?;
         let state = current::check(&found.scene, &outputs, &settings, reporter)?;
         reporter.finish();
         print::plan(task.style, &found.scene, &plan, &state);

@@ -14,7 +14,7 @@ use std::path::Path;
 pub use resolve::{Layer, Origin, Resolved, SettingsError, resolve};
 use value::*;
 pub use value::{
-    Area, Closed, DirectionSet, DoubleSided, GatherMode, Gatherer, Only, Preset, Rule, SkySetting, Voxels,
+    Area, Closed, DirectionSet, DoubleSided, GatherMode, Gatherer, LightGroups, Only, Preset, Rule, SkySetting, Voxels,
 };
 
 /// Name of the settings file beside a scene.
@@ -155,6 +155,11 @@ settings! {
         ["scene units"] lamp_radius: Factor = Factor(0.0);
         /// Angular diameter of directional lights without the extra luxel_angle, for soft shadows; the sun has 0.53.
         ["degrees"] sun_angle: Diameter = Diameter(0.0);
+        /// Lights of one name (of their node, or its extra luxel_group) are one group, up to eight groups, and each is
+        /// baked for itself: after a change of one lamp only its own light is computed again, a change of colour or
+        /// strength computes none, and `luxel export --mix` weighs them anew. Every group costs a propagation and a
+        /// gather; one bakes all lights together.
+        ["choice"] light_groups: LightGroups = LightGroups::Auto;
         /// Share of a fully rough metal's colour that counts as diffuse.
         ["share"] metal_diffuse: Share = Share(0.5);
         /// Bakes skinned, morphed and animated nodes in their rest pose instead of leaving them out.

@@ -112,6 +112,16 @@ words! {
 }
 
 words! {
+    /// Whether lights are baked apart from each other.
+    LightGroups {
+        /// One group for every name of a node, or extra `luxel_group`, up to eight.
+        Auto = "auto",
+        /// All lights together.
+        One = "one",
+    }
+}
+
+words! {
     /// How indirect light is gathered at texels.
     GatherMode {
         /// What the preset holds best: lightcuts, or the look-up for a draft.

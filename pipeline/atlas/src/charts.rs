@@ -49,6 +49,11 @@ impl Charts {
             })
     }
 
+    /// Whether every unwrap of the mesh gives these charts: not where its worker died or took too long over a piece.
+    pub fn is_reproducible(&self) -> bool {
+        self.fallbacks.iter().all(|(why, _)| !why.starts_with(crate::worker::FAILED))
+    }
+
     /// Triangles of each chart, ascending.
     pub(crate) fn members(&self) -> Vec<Vec<u32>> {
         let mut members = vec![Vec::new(); self.charts as usize];

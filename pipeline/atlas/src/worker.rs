@@ -20,6 +20,9 @@ use serde::de::DeserializeOwned;
 
 use crate::unwrap::{Answers, InProcess, Piece, UnwrapError, Unwrapper};
 
+/// How the reasons begin for which a piece has no charts because of the worker, not of the piece.
+pub(crate) const FAILED: &str = "the unwrap worker";
+
 /// No message is larger, in either direction [bytes].
 const MESSAGE_LIMIT: usize = 1 << 27;
 
@@ -198,15 +201,13 @@ impl Process {
     fn exchange(&self, request: Vec<u8>, limit: Duration) -> Result<Vec<u8>, String> {
         let sent = self.requests.as_ref().is_some_and(|requests| requests.send(request).is_ok());
         if !sent {
-            return Err("the unwrap worker died".into());
+            return Err(format!("{FAILED} died"));
         }
         match self.replies.recv_timeout(limit) {
             Ok(Ok(Some(reply))) => Ok(reply),
-            Ok(Err(error)) if error.kind() == io::ErrorKind::InvalidData => {
-                Err("the unwrap worker answered nonsense".into())
-            }
-            Ok(_) | Err(RecvTimeoutError::Disconnected) => Err("the unwrap worker died".into()),
-            Err(RecvTimeoutError::Timeout) => Err("the unwrap worker took too long".into()),
+            Ok(Err(error)) if error.kind() == io::ErrorKind::InvalidData => Err(format!("{FAILED} answered nonsense")),
+            Ok(_) | Err(RecvTimeoutError::Disconnected) => Err(format!("{FAILED} died")),
+            Err(RecvTimeoutError::Timeout) => Err(format!("{FAILED} took too long")),
         }
     }
 }

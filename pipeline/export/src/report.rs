@@ -27,6 +27,13 @@ pub struct Report {
     pub versions: BTreeMap<String, String>,
     /// Every setting with its resolved value and where that came from, in the order of the settings' documentation.
     pub settings: Vec<Setting>,
+    /// BLAKE3 digests of what the scene consists of, by words (`geometry`, `materials`, `lights`, `the sky`, `what
+    /// receives light`): what differs between two reports has changed. Absent in reports of earlier versions.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub parts: BTreeMap<String, String>,
+    /// The light groups, in the order in which they are summed. Absent in reports of earlier versions.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub light_groups: Vec<LightGroup>,
     /// Stages in the order in which they run.
     pub stages: Vec<Stage>,
     /// Counters of the scene and of what this bake itself computed: `triangles`, `texels`, `buried_texels`, `charts`,
@@ -60,6 +67,17 @@ pub struct SceneInfo {
     /// reports from before it was told.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub missing: Option<Vec<String>>,
+}
+
+/// Lights that are baked together, at unit power.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct LightGroup {
+    pub name: String,
+    /// What its light is multiplied by, by band: the strongest of its sources [cd, lux or cd/m²]. Where a scene's
+    /// emissive surfaces are too many to be told apart it is 1.
+    pub factor: [f32; 3],
+    /// Lamps, suns and emissive objects in it, and the sky.
+    pub sources: u64,
 }
 
 /// A file that was read.

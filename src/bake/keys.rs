@@ -1,0 +1,362 @@
+//! Keys of artefacts: the digest of exactly what a stage reads.
+//!
+//! ```text
+//! layout    ← meshes and places of what receives, names, size, density, padding
+//! clear     ← layout, shape
+//! surfels   ← shape, matter, voxels, area
+//! shoot_g   ← surfels, lights of g, shadow samples, photons
+//! solution_g← shoot_g, sky if it is in g, directions, bounces, …, refresh
+//! direct_g  ← clear, lights of g, shadow samples
+//! sky       ← clear, sky, sky rays, node spacing
+//! gather_g  ← clear, solution_g, gather settings
+//! finish    ← layout, clear, and of every group the factor, direct_g, gather_g, sky; padding
+//! ```
+//!
+//! *Shape* is all that rays meet: meshes, transforms, what casts, holes and veils. *Matter* is what surfaces reflect.
+//! Lights are those at unit power ([`super::groups`]), so a lamp's colour is in the key of `finish` alone. Every key
+//! also holds the version of its stage and of luxel; those of unwraps are the meshes' own.
+//!
+//! The structures of a scene are taken apart field by field here: a new field does not compile until it is decided who
+//! reads it.
+
+use std::collections::BTreeMap;
+
+use glam::{DAffine3, Vec3};
+use luxel_atlas::mesh_key;
+use luxel_scene::{Alpha, Instance, Light, LightKind, Material, Mesh, Scene, Sky, SkyImage, Texture, TextureRef, Wrap};
+use luxel_transport::lights::Source;
+use rayon::prelude::*;
+
+use super::groups::{Group, Lighting};
+use crate::plan::{Plan, Stage};
+use crate::settings::{Field, Settings};
+use crate::store::Key;
+
+/// The keys of all artefacts of a scene.
+#[derive(Clone, Debug)]
+pub struct Keys {
+    pub layout: Key,
+    pub clear: Key,
+    pub surfels: Key,
+    pub sky: Key,
+    /// By group.
+    pub groups: Vec<GroupKeys>,
+    pub finish: Key,
+    /// Digests of what the scene consists of, by the words for it: so that a later bake can say what has changed.
+    pub parts: BTreeMap<String, String>,
+}
+
+/// The keys of one light group's artefacts.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct GroupKeys {
+    pub shoot: Key,
+    pub solution: Key,
+    pub direct: Key,
+    pub gather: Key,
+}
+
+/// The key of a mesh's unwrap.
+pub fn unwrap(mesh: &Mesh) -> Key {
+    Digest::stage(Stage::Unwrap).bytes(&mesh_key(mesh)).done()
+}
+
+impl Keys {
+    /// `scene` has its lights at their units.
+    pub fn new(scene: &Scene, lighting: &Lighting, settings: &Settings, plan: &Plan) -> Self {
+        let parts = Parts::new(scene);
+        let layout = parts.layout(settings);
+        let (shape, matter, sky_digest) = (parts.shape(), parts.matter(), sky(&scene.sky));
+        let setting = |digest: Digest, names: &[&str]| names.iter().fold(digest, |d, name| d.setting(settings, name));
+        let clear = Digest::stage(Stage::Clear).bytes(&layout).bytes(&shape);
+        let clear = setting(clear.version(Stage::Rays), &["double_sided"]).done();
+        let surfels = Digest::stage(Stage::Surfels).version(Stage::Rays).bytes(&shape).bytes(&matter);
+        let surfels = setting(surfels, &["voxels", "area"]).done();
+        // Too many emissive surfaces are gathered by cuts, at surfels and at texels.
+        let lights = ["shadow_samples", "cut_error", "cut_limit", "near_rays"];
+        let lights = if lighting.is_crowd { &lights[..] } else { &lights[..1] };
+        let sky_key = Digest::stage(Stage::Sky).bytes(&clear).bytes(&sky_digest);
+        let sky_key = setting(sky_key, &["sky_rays", "node_spacing"]).done();
+        let group = |group: &Group| {
+            let own = parts.lights(group);
+            let shoot = Digest::stage(Stage::Shoot).bytes(&surfels).bytes(&own);
+            let shoot = setting(setting(shoot, lights), &["photons"]).done();
+            let solution = Digest::stage(Stage::Propagate).version(Stage::Refresh).version(Stage::Cache).bytes(&shoot);
+            let solution = match group.sky {
+                Some(weight) => solution.bytes(&sky_digest).vec3(weight),
+                None => solution.text("no sky"),
+            };
+            let how = ["directions", "bounces", "tolerance", "closed", "direction_set", "rule", "refresh"];
+            let solution = setting(solution, &how).done();
+            let direct = setting(Digest::stage(Stage::Direct).bytes(&clear).bytes(&own), lights).done();
+            let gather = Digest::stage(Stage::Gather).bytes(&clear).bytes(&solution).text(settings.gatherer().name());
+            let how = ["cut_error", "cut_limit", "near_rays", "gather_rays", "node_spacing"];
+            let gather = setting(gather, &how).flag(plan.states_bound(settings)).done();
+            GroupKeys { shoot, solution, direct, gather }
+        };
+        let groups: Vec<GroupKeys> = lighting.groups.par_iter().map(group).collect();
+        let mut finish = Digest::stage(Stage::Finish).bytes(&layout).bytes(&clear);
+        for (group, keys) in lighting.groups.iter().zip(&groups) {
+            let parts = [(Stage::Direct, keys.direct), (Stage::Gather, keys.gather), (Stage::Sky, sky_key)];
+            finish = finish.vec3(group.factor).vec3(group.sky.unwrap_or(Vec3::ZERO));
+            for (stage, key) in parts.into_iter().filter(|(stage, _)| plan.runs(*stage)) {
+                finish = finish.text(stage.name()).bytes(&key);
+            }
+        }
+        let finish = setting(finish, &["double_sided", "padding"]).done();
+        let lights = lighting.groups.iter().fold(Digest::new("all lights"), |digest, group| {
+            digest.text(&group.name).bytes(&parts.lights(group)).vec3(if group.sky.is_some() {
+                Vec3::ZERO
+            } else {
+                group.factor
+            })
+        });
+        let lit = lighting.groups.iter().find(|g| g.sky.is_some()).map_or(Vec3::ZERO, |g| g.factor);
+        let sky = Digest::new("sky").bytes(&sky_digest).vec3(lit).done();
+        let named = [("geometry", shape), ("materials", matter), ("lights", lights.done()), ("the sky", sky)];
+        let named = named.into_iter().chain([("what receives light", parts.receivers())]);
+        let hex = |key: Key| blake3::Hash::from(key).to_hex().to_string();
+        let parts = named.map(|(name, key)| (name.to_owned(), hex(key))).collect();
+        Self { layout, clear, surfels, sky: sky_key, groups, finish, parts }
+    }
+}
+
+/// What a scene is made of, by content.
+struct Parts<'a> {
+    scene: &'a Scene,
+    meshes: Vec<Key>,
+    textures: Vec<Key>,
+}
+
+impl<'a> Parts<'a> {
+    fn new(scene: &'a Scene) -> Self {
+        let meshes = scene.meshes.par_iter().map(mesh).collect();
+        let textures = scene.textures.par_iter().map(texture).collect();
+        Self { scene, meshes, textures }
+    }
+
+    /// What texels are made of: what receives, with its size in the world, on pages as the settings have them.
+    fn layout(&self, settings: &Settings) -> Key {
+        let digest = Digest::stage(Stage::Unwrap).bytes(&self.receivers());
+        ["size", "texel_density", "padding"].iter().fold(digest, |d, name| d.setting(settings, name)).done()
+    }
+
+    fn receivers(&self) -> Key {
+        let mut digest = Digest::new("receivers");
+        let mut nodes: BTreeMap<(usize, usize, Option<u32>), u64> = BTreeMap::new();
+        for instance in &self.scene.instances {
+            let Instance { mesh, transform, node, gpu_instance, name, receives, texel_scale, casts: _, group: _ } =
+                instance;
+            // Which primitives are of one node matters, not which number it has.
+            let next = nodes.len() as u64;
+            let node = *nodes.entry((*node, self.scene.meshes[*mesh].gltf_mesh, *gpu_instance)).or_insert(next);
+            digest = digest.flag(*receives);
+            if *receives {
+                let placed = digest.bytes(&self.meshes[*mesh]).affine(transform);
+                digest = placed.number(node).text(name).float(*texel_scale);
+            }
+        }
+        digest.done()
+    }
+
+    /// What rays meet.
+    fn shape(&self) -> Key {
+        let mut digest = Digest::new("shape");
+        for instance in &self.scene.instances {
+            let Instance { mesh, transform, casts, receives: _, texel_scale: _, name: _, node: _, .. } = instance;
+            let material = &self.scene.materials[self.scene.meshes[*mesh].material];
+            digest = digest.bytes(&self.meshes[*mesh]).affine(transform).flag(*casts);
+            digest = digest.flag(material.double_sided).flag(material.unlit).flag(material.is_opaque());
+            if !material.is_opaque() {
+                digest = self.surface(digest, material);
+            }
+        }
+        digest.done()
+    }
+
+    /// What surfaces reflect, and which of them shine.
+    fn matter(&self) -> Key {
+        let mut digest = Digest::new("matter");
+        for instance in &self.scene.instances {
+            let material = &self.scene.materials[self.scene.meshes[instance.mesh].material];
+            digest = self.surface(digest, material).flag(material.emits());
+            digest = self.reference(digest, material.emissive_texture.as_ref().filter(|_| material.emits()));
+        }
+        digest.done()
+    }
+
+    /// A material without its emission.
+    fn surface(&self, digest: Digest, material: &Material) -> Digest {
+        let Material {
+            name: _,
+            base_color,
+            base_color_texture,
+            metallic,
+            roughness,
+            metallic_roughness_texture,
+            emission: _,
+            emissive_texture: _,
+            alpha,
+            transmission,
+            transmission_texture,
+            double_sided,
+            unlit,
+            metal_diffuse,
+        } = material;
+        let digest = digest.vec3(base_color.truncate()).float(base_color.w).float(*metallic).float(*roughness);
+        let digest = match alpha {
+            Alpha::Opaque => digest.text("opaque"),
+            Alpha::Mask(cutoff) => digest.text("mask").float(*cutoff),
+            Alpha::Blend => digest.text("blend"),
+        };
+        let digest = digest.float(*transmission).flag(*double_sided).flag(*unlit).float(*metal_diffuse);
+        [base_color_texture, metallic_roughness_texture, transmission_texture]
+            .into_iter()
+            .fold(digest, |digest, texture| self.reference(digest, texture.as_ref()))
+    }
+
+    fn reference(&self, digest: Digest, reference: Option<&TextureRef>) -> Digest {
+        // The averages follow from the texture.
+        let Some(TextureRef { texture, tex_coord, wrap, matrix, offset, averages: _ }) = reference else {
+            return digest.text("none");
+        };
+        let wrap = wrap.map(|wrap| match wrap {
+            Wrap::Repeat => "repeat",
+            Wrap::Mirror => "mirror",
+            Wrap::Clamp => "clamp",
+        });
+        let digest = digest.bytes(&self.textures[*texture]).number(*tex_coord as u64).text(wrap[0]).text(wrap[1]);
+        [matrix[0], matrix[1], *offset].into_iter().fold(digest, |digest, v| digest.float(v.x).float(v.y))
+    }
+
+    /// The sources of a group, with their weights. Where a surface is, the shape tells.
+    fn lights(&self, group: &Group) -> Key {
+        let mut digest = Digest::new("lights");
+        let scene = self.scene;
+        for (source, weight) in &group.sources {
+            digest = digest.vec3(*weight);
+            match *source {
+                Source::Instance(i) => {
+                    let instance = &scene.instances[i as usize];
+                    let material = &scene.materials[scene.meshes[instance.mesh].material];
+                    digest = digest.text("surface").number(i.into()).text(&instance.name).vec3(material.emission);
+                    digest = self.reference(digest, material.emissive_texture.as_ref());
+                }
+                Source::Light(i) => {
+                    let Light { name, node: _, group: _, kind, intensity } = &scene.lights[i as usize];
+                    // Lights of one name are told apart by their order.
+                    let others = scene.lights[..i as usize].iter().filter(|l| l.name == *name).count();
+                    digest = light(digest.text(name).number(others as u64), kind).vec3(*intensity);
+                }
+            }
+        }
+        digest.done()
+    }
+}
+
+fn mesh(mesh: &Mesh) -> Key {
+    let Mesh { name: _, gltf_mesh: _, gltf_primitive: _, positions, normals, uvs, colors, triangles, material: _ } =
+        mesh;
+    let digest = Digest::new("mesh").slice(positions).slice(normals).slice(colors).slice(triangles);
+    uvs.iter().fold(digest.number(uvs.len() as u64), |digest, set| digest.slice(set)).done()
+}
+
+fn texture(texture: &Texture) -> Key {
+    let Texture { name: _, width, height, srgb, texels } = texture;
+    Digest::new("texture").number((*width).into()).number((*height).into()).flag(*srgb).slice(texels).done()
+}
+
+fn light(digest: Digest, kind: &LightKind) -> Digest {
+    let optional = |digest: Digest, x: &Option<f64>| match x {
+        Some(x) => digest.double(*x),
+        None => digest.text("none"),
+    };
+    let place = |digest: Digest, p: glam::DVec3| digest.double(p.x).double(p.y).double(p.z);
+    match kind {
+        LightKind::Point { position, range, radius } => {
+            optional(place(digest.text("point"), *position), range).double(*radius)
+        }
+        LightKind::Spot { position, direction, inner, outer, range, radius } => {
+            let digest = place(place(digest.text("spot"), *position), *direction).double(*inner).double(*outer);
+            optional(digest, range).double(*radius)
+        }
+        LightKind::Sun { direction, angle } => place(digest.text("sun"), *direction).double(*angle),
+    }
+}
+
+fn sky(sky: &Sky) -> Key {
+    let digest = Digest::new("sky");
+    match sky {
+        Sky::None => digest.text("none"),
+        Sky::Constant(radiance) => digest.text("constant").vec3(*radiance),
+        Sky::Gradient { zenith, horizon, ground } => digest.text("gradient").vec3(*zenith).vec3(*horizon).vec3(*ground),
+        Sky::Image(SkyImage { width, height, texels, rotation, strength }) => {
+            let digest = digest.text("image").number((*width).into()).number((*height).into());
+            digest.slice(texels).float(*rotation).float(*strength)
+        }
+    }
+    .done()
+}
+
+/// A BLAKE3 hash that grows value by value; texts and lists carry their lengths.
+struct Digest(blake3::Hasher);
+
+impl Digest {
+    fn new(what: &str) -> Self {
+        Self(blake3::Hasher::new()).text(what)
+    }
+
+    fn stage(stage: Stage) -> Self {
+        Self::new(env!("CARGO_PKG_VERSION")).version(stage)
+    }
+
+    fn version(self, stage: Stage) -> Self {
+        self.text(stage.name()).number(stage.version().into())
+    }
+
+    fn bytes(mut self, bytes: &[u8]) -> Self {
+        self.0.update(bytes);
+        self
+    }
+
+    fn number(self, n: u64) -> Self {
+        self.bytes(&n.to_le_bytes())
+    }
+
+    fn text(self, text: &str) -> Self {
+        self.number(text.len() as u64).bytes(text.as_bytes())
+    }
+
+    fn slice<T: bytemuck::NoUninit>(self, items: &[T]) -> Self {
+        self.number(items.len() as u64).bytes(bytemuck::cast_slice(items))
+    }
+
+    fn flag(self, flag: bool) -> Self {
+        self.bytes(&[u8::from(flag)])
+    }
+
+    fn float(self, x: f32) -> Self {
+        self.bytes(&x.to_le_bytes())
+    }
+
+    fn double(self, x: f64) -> Self {
+        self.bytes(&x.to_le_bytes())
+    }
+
+    fn vec3(self, v: Vec3) -> Self {
+        self.float(v.x).float(v.y).float(v.z)
+    }
+
+    fn affine(self, a: &DAffine3) -> Self {
+        a.to_cols_array().into_iter().fold(self, Self::double)
+    }
+
+    fn setting(self, settings: &Settings, name: &str) -> Self {
+        let value = Field::find(name).map(|field| (field.get)(settings));
+        debug_assert!(value.is_some(), "there is no setting {name}");
+        self.text(name).text(&value.unwrap_or_default())
+    }
+
+    fn done(self) -> Key {
+        *self.0.finalize().as_bytes()
+    }
+}

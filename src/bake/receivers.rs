@@ -1,0 +1,317 @@
+//! Where light is gathered: the receivers of all texels, moved out of what buries them.
+//!
+//! A receiver follows from its texel, so only those that are elsewhere are kept. That and who is buried is the
+//! artefact of this stage; all light groups are gathered at the same receivers.
+
+use std::io::{self, Write};
+
+use bytemuck::{Pod, Zeroable};
+use glam::Vec3;
+use luxel_atlas::{Atlas, Chart, Texel};
+use luxel_scene::Progress;
+use luxel_transport::{
+    gather::{
+        Gather, Gathered, Receiver,
+        nodes::{Cell, NodeSettings, interpolate},
+    },
+    geometry::Geometry,
+    rays::Rays,
+    sampling::combine,
+    validity::{self, Sides},
+};
+use rayon::prelude::*;
+
+use super::artefact::{head, put_head, put_slice, slice};
+use super::journal::{Counters, Journal};
+use super::tracer::Tracer;
+use crate::Error;
+use crate::plan::{Plan, Stage};
+use crate::settings::{DoubleSided, Settings};
+use crate::store::{Key, Kind, Reader, Store};
+
+/// Texels whose receivers exist at the same time.
+const BLOCK: usize = 1 << 14;
+
+/// Mixed into the seed of receivers on backs.
+const BACK: u64 = 0xbac5;
+
+/// Some texels, seen from one side of their surfaces.
+pub struct Side<'a> {
+    geometry: &'a Geometry<'a>,
+    texels: &'a [Texel],
+    charts: &'a [Chart],
+    /// Which texels, in rising order; none: all.
+    some: Option<Vec<u32>>,
+    pub back: bool,
+    /// Receivers that are not at their texel's point because that one is buried, by rising index.
+    moved: Vec<(usize, Receiver)>,
+    /// Texels of a front whose point is buried by something thin, with receivers on its far side, by rising index.
+    beyond: Vec<(usize, Receiver)>,
+    /// Inside or under other geometry, with nowhere to go.
+    pub buried: Vec<bool>,
+}
+
+impl<'a> Side<'a> {
+    fn front(geometry: &'a Geometry<'a>, atlas: &'a Atlas) -> Self {
+        let buried = vec![false; atlas.texels.len()];
+        let (texels, charts) = (&atlas.texels[..], &atlas.charts[..]);
+        Self { geometry, texels, charts, some: None, back: false, moved: Vec::new(), beyond: Vec::new(), buried }
+    }
+
+    /// The backs of double-sided surfaces.
+    fn back(geometry: &'a Geometry<'a>, atlas: &'a Atlas) -> Self {
+        let is_double =
+            |t: &Texel| geometry.material(geometry.triangle(atlas.chart(t).instance, t.triangle)).double_sided;
+        let numbered = (0u32..).zip(&atlas.texels);
+        let some: Vec<u32> = numbered.filter(|(_, t)| is_double(t)).map(|(i, _)| i).collect();
+        let buried = vec![false; some.len()];
+        Self { some: Some(some), back: true, buried, ..Self::front(geometry, atlas) }
+    }
+
+    /// The texels of a front that stand for the far side of a thin wall too, over there.
+    fn far(&self) -> Self {
+        Self {
+            // A front has all texels, so their place in it is their number.
+            some: Some(self.beyond.iter().map(|(i, _)| *i as u32).collect()),
+            moved: self.beyond.iter().map(|(_, receiver)| *receiver).enumerate().collect(),
+            beyond: Vec::new(),
+            buried: vec![false; self.beyond.len()],
+            ..*self
+        }
+    }
+
+    pub fn len(&self) -> usize {
+        self.buried.len()
+    }
+
+    /// Numbers of the texels in the atlas, in their order.
+    pub fn numbers(&self) -> impl Iterator<Item = usize> {
+        (0..self.len()).map(|at| self.some.as_ref().map_or(at, |some| some[at] as usize))
+    }
+
+    fn texel(&self, at: usize) -> &'a Texel {
+        &self.texels[self.some.as_ref().map_or(at, |some| some[at] as usize)]
+    }
+
+    fn receiver(&self, at: usize) -> Receiver {
+        match self.moved.binary_search_by_key(&at, |(i, _)| *i) {
+            Ok(found) => self.moved[found].1,
+            Err(_) => self.original(at),
+        }
+    }
+
+    fn original(&self, at: usize) -> Receiver {
+        let t = self.texel(at);
+        let chart = &self.charts[t.chart as usize];
+        let triangle = self.geometry.triangle(chart.instance, t.triangle);
+        let footprint = self.geometry.frame.length(f64::from(t.footprint()));
+        let seed = chart.texel_seed(t.x, t.y);
+        let [u, v] = t.barycentric();
+        let front = Receiver::on_triangle(self.geometry, triangle, u, v, footprint, seed);
+        if !self.back {
+            return front;
+        }
+        let (normal, shading_normal) = (-front.normal, -front.shading_normal);
+        Receiver { normal, shading_normal, seed: combine(seed, BACK), ..front }
+    }
+
+    /// Finds the texels that are buried, and moves those that need not be.
+    fn clear(&mut self, rays: &Rays, progress: &dyn Progress) -> Result<(), Error> {
+        for first in (0..self.len()).step_by(BLOCK) {
+            progress.check()?;
+            let block = first..self.len().min(first + BLOCK);
+            let length = block.len();
+            let found: Vec<(usize, Sides)> = block
+                .into_par_iter()
+                .map(|i| (i, self.original(i)))
+                .filter(|(_, receiver)| validity::is_buried(rays, receiver))
+                .map(|(i, receiver)| (i, validity::sides(rays, &receiver)))
+                .collect();
+            for (i, sides) in found {
+                match sides.larger {
+                    Some(receiver) => self.moved.push((i, receiver)),
+                    None => self.buried[i] = true,
+                }
+                // Only the far sides of a front are gathered.
+                self.beyond.extend(sides.smaller.filter(|_| !self.back).map(|receiver| (i, receiver)));
+            }
+            progress.advance(length as u64);
+        }
+        Ok(())
+    }
+
+    /// Gathers at every receiver that is not buried, block by block, and hands each result to `put` with its index.
+    /// With `nodes`, only some are gathered (all, where they stand at every texel), averaged with neighbours that agree,
+    /// and the rest interpolated: their bounds are estimates. Returns how many were gathered.
+    pub fn gather(
+        &self,
+        gatherer: &dyn Gather,
+        nodes: Option<NodeSettings>,
+        progress: &dyn Progress,
+        mut put: impl FnMut(usize, &Gathered),
+    ) -> Result<u64, Error> {
+        let mut gathered = 0;
+        let mut first = 0;
+        while first < self.len() {
+            // Interpolation looks at whole charts; a gather at every texel need not.
+            let end = if nodes.is_some() { self.block_end(first) } else { self.len().min(first + BLOCK) };
+            let open: Vec<usize> = (first..end).filter(|i| !self.buried[*i]).collect();
+            let receivers: Vec<Receiver> = open.iter().map(|i| self.receiver(*i)).collect();
+            let light = match nodes {
+                None => {
+                    gathered += receivers.len() as u64;
+                    gatherer.gather(&receivers, progress)?
+                }
+                Some(how) => {
+                    let cells: Vec<Cell> = open.iter().map(|i| self.cell(*i)).collect();
+                    let found = interpolate(gatherer, how, &receivers, &cells, progress)?;
+                    gathered += found.nodes as u64;
+                    found.light
+                }
+            };
+            for (i, g) in open.iter().zip(&light) {
+                put(*i, g);
+            }
+            progress.advance((end - first - open.len()) as u64);
+            first = end;
+        }
+        Ok(gathered)
+    }
+
+    /// The end of a block: at least [`BLOCK`] texels, and whole charts.
+    fn block_end(&self, first: usize) -> usize {
+        let mut end = self.len().min(first + BLOCK);
+        while end < self.len() && self.texel(end).chart == self.texel(end - 1).chart {
+            end += 1;
+        }
+        end
+    }
+
+    fn cell(&self, at: usize) -> Cell {
+        let t = self.texel(at);
+        let chart = &self.charts[t.chart as usize];
+        Cell { chart: t.chart, x: u32::from(t.x) - chart.x, y: u32::from(t.y) - chart.y }
+    }
+}
+
+/// The receivers of an atlas, side by side of its surfaces: fronts, far sides of thin walls, backs.
+pub struct Receivers<'a> {
+    pub sides: Vec<Side<'a>>,
+}
+
+impl<'a> Receivers<'a> {
+    /// Clears all texels, or reads how they were cleared.
+    pub fn new(
+        tracer: &'a Tracer,
+        atlas: &'a Atlas,
+        settings: &Settings,
+        plan: &Plan,
+        store: Option<(&Store, &Key)>,
+        journal: &mut Journal,
+    ) -> Result<Self, Error> {
+        let geometry = tracer.geometry;
+        let mut sides = vec![Side::front(geometry, atlas)];
+        if settings.double_sided != DoubleSided::Front {
+            sides.push(Side::back(geometry, atlas));
+        }
+        let stored = store.and_then(|(store, key)| store.get(Kind::Clear, key, |body| read(body, &sides)));
+        match stored {
+            Some((counters, cleared)) => {
+                journal.reused(plan, Stage::Clear, counters);
+                for (side, cleared) in sides.iter_mut().zip(cleared) {
+                    (side.moved, side.beyond, side.buried) = cleared;
+                }
+            }
+            None if plan.runs(Stage::Clear) => {
+                let rays = tracer.rays(plan, journal)?;
+                let work = sides.iter().map(|s| s.len() as u64).sum();
+                journal.run(plan, Stage::Clear, Some(work), |progress, counters| {
+                    for side in &mut sides {
+                        side.clear(rays, progress)?;
+                    }
+                    let count = |f: fn(&Side) -> usize| sides.iter().map(|s| f(s) as u64).sum::<u64>();
+                    counters.insert("moved_texels".into(), count(|s| s.moved.len()));
+                    counters.insert("two_sided_texels".into(), count(|s| s.beyond.len()));
+                    counters.insert("buried_texels".into(), count(|s| s.buried.iter().filter(|b| **b).count()));
+                    if let Some((store, key)) = store {
+                        store.put(Kind::Clear, key, |out| write(out, &sides, counters));
+                    }
+                    Ok(())
+                })?;
+            }
+            None => journal.left_out(plan, Stage::Clear),
+        }
+        // After the front itself and before its backs.
+        let far = sides[0].far();
+        sides.insert(1, far);
+        Ok(Self { sides })
+    }
+
+    /// Receivers, buried ones included.
+    pub fn len(&self) -> u64 {
+        self.sides.iter().map(|s| s.len() as u64).sum()
+    }
+}
+
+/// A receiver that is not at its texel's point.
+#[derive(Clone, Copy, Pod, Zeroable)]
+#[repr(C)]
+struct Elsewhere {
+    index: u32,
+    position: Vec3,
+    normal: Vec3,
+    shading_normal: Vec3,
+    footprint: f32,
+    /// Low half first.
+    seed: [u32; 2],
+}
+
+type Cleared = (Vec<(usize, Receiver)>, Vec<(usize, Receiver)>, Vec<bool>);
+
+fn write(out: &mut impl Write, sides: &[Side], counters: &Counters) -> io::Result<()> {
+    put_head(out, counters)?;
+    for side in sides {
+        for list in [&side.moved, &side.beyond] {
+            let packed = |(i, r): &(usize, Receiver)| Elsewhere {
+                index: *i as u32,
+                position: r.position,
+                normal: r.normal,
+                shading_normal: r.shading_normal,
+                footprint: r.footprint,
+                seed: [r.seed as u32, (r.seed >> 32) as u32],
+            };
+            put_slice(out, &list.iter().map(packed).collect::<Vec<_>>())?;
+        }
+        put_slice(out, &side.buried.iter().map(|b| u8::from(*b)).collect::<Vec<_>>())?;
+    }
+    Ok(())
+}
+
+fn read(body: &mut Reader, sides: &[Side]) -> Result<(Counters, Vec<Cleared>), String> {
+    let counters = head(body)?;
+    let one = |side: &Side| -> Result<Cleared, String> {
+        let (moved, beyond) = (elsewhere(body, side.len())?, elsewhere(body, side.len())?);
+        let buried: Vec<u8> = slice(body)?;
+        if buried.len() != side.len() {
+            return Err("it has other texels".into());
+        }
+        Ok((moved, beyond, buried.into_iter().map(|b| b != 0).collect()))
+    };
+    let cleared = sides.iter().map(one).collect::<Result<_, _>>()?;
+    Ok((counters, cleared))
+}
+
+fn elsewhere(body: &mut Reader, texels: usize) -> Result<Vec<(usize, Receiver)>, String> {
+    let list: Vec<Elsewhere> = slice(body)?;
+    let rising = list.windows(2).all(|w| w[0].index < w[1].index);
+    let finite = |e: &Elsewhere| e.position.is_finite() && e.normal.is_normalized() && e.shading_normal.is_normalized();
+    if !rising || !list.iter().all(|e| (e.index as usize) < texels && finite(e)) {
+        return Err("its receivers make no sense".into());
+    }
+    let unpacked = |e: Elsewhere| {
+        let seed = u64::from(e.seed[1]) << 32 | u64::from(e.seed[0]);
+        let Elsewhere { position, normal, shading_normal, footprint, .. } = e;
+        (e.index as usize, Receiver { position, normal, shading_normal, footprint, seed })
+    };
+    Ok(list.into_iter().map(unpacked).collect())
+}
