@@ -354,6 +354,28 @@ mod tests {
     }
 
     #[test]
+    fn bakes_share_a_store_that_is_named() {
+        let options = |line: &str| bake(line).map(|args| args.storing.options());
+        assert_eq!(options("luxel bake a.glb").unwrap(), StoreOptions::default());
+        let shared = StoreOptions { folder: Some("/srv/luxel".into()), cap: 3 << 29 };
+        assert_eq!(options("luxel bake a.glb --store /srv/luxel --store-cap 1.5GiB").unwrap(), shared);
+        let message = options("luxel bake a.glb --store-cap much").unwrap_err().to_string();
+        assert!(message.contains("--store-cap") && message.contains("500MB"), "{message}");
+    }
+
+    #[test]
+    fn gc_takes_a_cap_and_an_age() {
+        let cache = |line: &str| match Cli::try_parse_from(line.split(' ')).unwrap().task {
+            Task::Cache(cache) => cache.task,
+            other => panic!("{other:?}"),
+        };
+        let CacheTask::Gc(gc) = cache("luxel cache gc levels --cap 2GiB --older 30d") else { panic!() };
+        assert_eq!((gc.cap, gc.older), (2 << 30, Some(Duration::from_secs(30 * 86_400))));
+        let CacheTask::Gc(gc) = cache("luxel cache gc") else { panic!() };
+        assert_eq!((gc.cap, gc.older, gc.places.paths.len()), (luxel::store::DEFAULT_CAP, None, 0));
+    }
+
+    #[test]
     fn every_event_of_the_help_is_an_event_of_the_library() {
         let schema = include_str!("../watch/event.rs");
         let lines = WATCHING.lines().skip_while(|l| !l.starts_with("Events of --json")).skip(1);

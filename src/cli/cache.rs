@@ -126,11 +126,12 @@ fn tell_stat(folder: &Path, stat: &Stat, json: bool) {
     }
     let now = SystemTime::now();
     let row = |name: &str, usage: &Usage| {
-        let since = |time: Option<SystemTime>| {
-            time.map_or_else(|| "-".into(), |time| ago(now.duration_since(time).unwrap_or(Duration::ZERO)))
+        let since = |time: SystemTime| ago(now.duration_since(time).unwrap_or(Duration::ZERO));
+        let used = match (usage.newest, usage.oldest) {
+            (Some(newest), Some(oldest)) => format!("{} to {} ago", since(newest), since(oldest)),
+            _ => "never".into(),
         };
-        let (oldest, newest) = (since(usage.oldest), since(usage.newest));
-        format!("  {name:<10} {:>7} {:>10}   {newest:>8} .. {oldest} ago\n", usage.files, bytes(usage.bytes))
+        format!("  {name:<10} {:>7} {:>10}   {used}\n", usage.files, bytes(usage.bytes))
     };
     let mut text = format!("  {:<10} {:>7} {:>10}   last used\n", "", "files", "size");
     for (kind, usage) in Kind::ALL.iter().filter_map(|kind| Some((kind, stat.kinds.get(kind)?))) {

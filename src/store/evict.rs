@@ -173,3 +173,193 @@ fn oldest_first(artefacts: &mut [(Kind, Key, Held)], now: SystemTime) {
 fn clock(folder: &Path) -> io::Result<SystemTime> {
     tempfile::tempfile_in(folder)?.metadata()?.modified()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use luxel_scene::Silent;
+    use std::fs::{self, File};
+    use std::io::Write;
+
+    /// Length of the files of these tests, header included.
+    const FILE: u64 = 1000;
+
+    struct Bench {
+        folder: tempfile::TempDir,
+    }
+
+    impl Bench {
+        /// A store of artefacts that were last used so many minutes ago, under keys in this order.
+        fn new(minutes: &[u64]) -> Self {
+            let bench = Self { folder: tempfile::tempdir().unwrap() };
+            let store = bench.store(u64::MAX);
+            for (i, ago) in minutes.iter().enumerate() {
+                store.put(Kind::Gather, &[i as u8; 32], |out| out.write_all(&[i as u8; FILE as usize - 84])).unwrap();
+                set_age(&store.path(Kind::Gather, &[i as u8; 32]), *ago);
+            }
+            bench
+        }
+
+        /// As another process has it.
+        fn store(&self, cap: u64) -> Store {
+            Store::new(self.folder.path()).with_cap(cap)
+        }
+
+        fn left(&self) -> Vec<u8> {
+            let mut keys: Vec<_> =
+                Listing::new(self.folder.path()).unwrap().artefacts.iter().map(|(_, key, _)| key[0]).collect();
+            keys.sort_unstable();
+            keys
+        }
+
+        fn evicted(&self, cap: u64) -> Vec<u8> {
+            let store = self.store(cap);
+            store.evict();
+            assert_eq!(store.take_notes(), [""; 0]);
+            self.left()
+        }
+    }
+
+    fn set_age(path: &Path, minutes: u64) {
+        let then = SystemTime::now() - Duration::from_secs(60 * minutes);
+        File::options().write(true).open(path).unwrap().set_modified(then).unwrap();
+    }
+
+    fn read(store: &Store, key: u8) -> bool {
+        store
+            .get(Kind::Gather, &[key; 32], |body| std::io::copy(body, &mut std::io::sink()).map_err(|e| e.to_string()))
+            .is_some()
+    }
+
+    #[test]
+    fn the_longest_unused_go_first_and_no_more_than_have_to() {
+        let bench = Bench::new(&[300, 500, 100, 400, 200]);
+        assert_eq!(bench.evicted(5 * FILE), [0, 1, 2, 3, 4]);
+        assert_eq!(bench.evicted(5 * FILE - 1), [0, 2, 3, 4]);
+        assert!(read(&bench.store(0), 3), "a use");
+        assert_eq!(bench.evicted(2 * FILE + FILE / 2), [2, 3]);
+    }
+
+    #[test]
+    fn what_anybody_has_used_within_the_hour_stays_below_twice_the_cap() {
+        let bench = Bench::new(&[90, 50, 40, 30, 20, 10]);
+        assert_eq!(bench.evicted(3 * FILE), [1, 2, 3, 4, 5]);
+        assert_eq!(bench.evicted(2 * FILE), [2, 3, 4, 5]);
+        assert_eq!(bench.evicted(0), [0u8; 0]);
+    }
+
+    #[test]
+    fn what_a_store_has_used_itself_stays_whatever_it_holds() {
+        let bench = Bench::new(&[500, 400, 300, 200]);
+        let store = bench.store(0);
+        assert!(read(&store, 1) && store.has(Kind::Gather, &[2; 32]));
+        store.touch(Kind::Gather, &[0; 32]);
+        store.put(Kind::Sky, &[9; 32], |out| out.write_all(b"blue")).unwrap();
+        store.evict();
+        assert_eq!(bench.left(), [0, 1, 2, 9]);
+        // Looking whether something is there is no use of it, saying so is.
+        assert_eq!(bench.evicted(3 * FILE), [0, 1, 9]);
+        assert_eq!(bench.evicted(0), [0u8; 0]);
+    }
+
+    #[test]
+    fn a_time_in_the_future_does_not_keep_a_file_for_ever() {
+        let bench = Bench::new(&[100, 200, 300]);
+        let far = SystemTime::now() + Duration::from_secs(1 << 20);
+        let path = bench.store(0).path(Kind::Gather, &[1; 32]);
+        File::options().write(true).open(path).unwrap().set_modified(far).unwrap();
+        assert_eq!(bench.evicted(2 * FILE), [0, 2]);
+    }
+
+    #[test]
+    fn only_old_leftovers_go() {
+        let bench = Bench::new(&[0]);
+        let at = |name: &str| bench.folder.path().join(name);
+        for (name, ago) in [(".luxel-a.tmp", 61), ("gather/.luxel-b.tmp", 61), ("gather/.luxel-c.tmp", 58)] {
+            fs::write(at(name), "half an arte").unwrap();
+            set_age(&at(name), ago);
+        }
+        fs::write(at("gather/mine.tmp"), "mine").unwrap();
+        set_age(&at("gather/mine.tmp"), 10_000);
+        assert_eq!(bench.evicted(u64::MAX), [0]);
+        let stays = |name: &str| at(name).exists();
+        assert!(!stays(".luxel-a.tmp") && !stays("gather/.luxel-b.tmp"));
+        assert!(stays("gather/.luxel-c.tmp") && stays("gather/mine.tmp"));
+        let collected = bench.store(0).gc(u64::MAX, None, &Silent).unwrap();
+        assert!(collected.leftovers.files == 0 && stays("gather/.luxel-c.tmp"));
+        set_age(&at("gather/.luxel-c.tmp"), 61);
+        let collected = bench.store(0).gc(u64::MAX, None, &Silent).unwrap();
+        assert!(collected.leftovers.files == 1 && !stays("gather/.luxel-c.tmp") && stays("gather/mine.tmp"));
+    }
+
+    #[test]
+    fn gc_removes_what_is_of_no_use_and_tells_why() {
+        let bench = Bench::new(&[100, 90, 80, 70, 5000, 60, 50]);
+        let store = bench.store(0);
+        let path = |key: u8| store.path(Kind::Gather, &[key; 32]);
+        let patch = |key: u8, at: usize, byte: u8| {
+            let mut bytes = fs::read(path(key)).unwrap();
+            bytes[at] = byte;
+            fs::write(path(key), bytes).unwrap();
+        };
+        patch(0, 500, 77);
+        patch(1, 8, 0);
+        patch(2, 8, 255);
+        fs::write(bench.folder.path().join("level.octree"), "luxelOct, and its tree").unwrap();
+        let verified = store.verify(&Silent).unwrap();
+        let names = |list: &[Bad]| list.iter().map(|bad| bad.path.clone()).collect::<Vec<_>>();
+        assert_eq!((verified.sound.files, names(&verified.bad)), (4, vec![path(0)]));
+        assert_eq!(names(&verified.outdated), [path(1), path(2)]);
+        let stat = store.stat().unwrap();
+        assert_eq!((stat.total.files, stat.total.bytes, stat.old.files), (7, 7 * FILE, 1));
+        assert_eq!(stat.kinds.keys().collect::<Vec<_>>(), [&Kind::Gather]);
+
+        let done = store.gc(3 * FILE, Some(Duration::from_secs(3600 * 24)), &Silent).unwrap();
+        // Written anew, the file of a later format is the youngest.
+        assert_eq!(bench.left(), [2, 5, 6]);
+        let counted = [done.evicted, done.bad, done.outdated, done.leftovers, done.left].map(|usage| usage.files);
+        assert_eq!((counted, done.failed.len()), ([2, 1, 2, 0, 3], 0));
+        assert_eq!(store.gc(0, None, &Silent).unwrap().evicted.files, 3);
+        assert!(bench.left().is_empty());
+        assert!(store.gc(0, None, &Silent).unwrap().evicted.files == 0);
+    }
+
+    #[test]
+    fn what_cannot_be_removed_is_told() {
+        let bench = Bench::new(&[100]);
+        let store = bench.store(0);
+        fs::create_dir(store.path(Kind::Gather, &[5; 32])).unwrap();
+        let done = store.gc(u64::MAX, None, &Silent).unwrap();
+        assert_eq!((done.failed.len(), done.left.files), (1, 2));
+        assert_eq!(done.failed[0].path, store.path(Kind::Gather, &[5; 32]));
+        assert_eq!(bench.evicted(0), [5], "others go all the same");
+    }
+
+    #[test]
+    fn a_store_that_does_not_exist_is_empty() {
+        let folder = tempfile::tempdir().unwrap();
+        let store = Store::new(folder.path().join("none")).with_cap(0);
+        store.evict();
+        assert_eq!(store.stat().unwrap(), Default::default());
+        assert_eq!(store.verify(&Silent).unwrap().sound.files, 0);
+        assert_eq!(store.gc(0, None, &Silent).unwrap().left.files, 0);
+        assert!(store.take_notes().is_empty() && !store.folder().exists());
+    }
+
+    #[test]
+    fn a_cancelled_survey_stops() {
+        struct Unwanted;
+        impl Progress for Unwanted {
+            fn begin(&self, _: &'static str, _: u64) {}
+            fn advance(&self, _: u64) {}
+            fn is_cancelled(&self) -> bool {
+                true
+            }
+        }
+        let bench = Bench::new(&[1]);
+        let store = bench.store(0);
+        assert!(matches!(store.verify(&Unwanted), Err(StoreError::Cancelled(_))));
+        assert!(matches!(store.gc(0, None, &Unwanted), Err(StoreError::Cancelled(_))));
+        assert_eq!(bench.left(), [0]);
+    }
+}

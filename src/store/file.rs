@@ -20,12 +20,13 @@ use std::fs::File;
 use std::io::{self, BufReader, BufWriter, Read, Seek, Write};
 use std::path::Path;
 
-use luxel_export::ExportError;
-
 const HEADER: usize = 8 + 4 + 32 + 8 + 32;
 
 /// Bytes in hand between file and content.
 const BUFFER: usize = 1 << 16;
+
+/// Begin and end of the names of files that are being written, or were when their writer was killed.
+pub(super) const TEMPORARY: (&str, &str) = (".luxel-", ".tmp");
 
 /// Identity of what a stored file follows from.
 pub type Key = [u8; 32];
@@ -70,23 +71,35 @@ pub enum Miss {
     Content(String),
 }
 
-/// The body of a file that is being written.
-pub struct Writer<'a> {
-    file: BufWriter<&'a mut File>,
+/// A file whose bytes are hashed on their way, below the buffer: bodies are read and written in small pieces, and
+/// hashing is fast in large ones.
+struct Hashed<F> {
+    file: F,
     hasher: blake3::Hasher,
     length: u64,
+    /// Longest body that is written [bytes].
     limit: u64,
 }
 
-impl Write for Writer<'_> {
+impl<F> Hashed<F> {
+    fn new(file: F, limit: u64) -> Self {
+        Self { file, hasher: blake3::Hasher::new(), length: 0, limit }
+    }
+
+    fn pass(&mut self, bytes: &[u8]) {
+        self.hasher.update(bytes);
+        self.length += bytes.len() as u64;
+    }
+}
+
+impl Write for Hashed<&mut File> {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        let written = self.file.write(bytes)?;
-        self.hasher.update(&bytes[..written]);
-        self.length += written as u64;
-        if self.length > self.limit {
+        if self.length.saturating_add(bytes.len() as u64) > self.limit {
             return Err(io::Error::other(format!("it takes more than the {} bytes that luxel reads", self.limit)));
         }
-        Ok(written)
+        let count = self.file.write(bytes)?;
+        self.pass(&bytes[..count]);
+        Ok(count)
     }
 
     fn flush(&mut self) -> io::Result<()> {
@@ -94,37 +107,73 @@ impl Write for Writer<'_> {
     }
 }
 
+impl Read for Hashed<File> {
+    fn read(&mut self, bytes: &mut [u8]) -> io::Result<usize> {
+        let count = self.file.read(bytes)?;
+        self.pass(&bytes[..count]);
+        Ok(count)
+    }
+}
+
+/// The body of a file that is being written.
+pub struct Writer<'a>(BufWriter<Hashed<&'a mut File>>);
+
+impl Write for Writer<'_> {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        self.0.write(bytes)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.0.flush()
+    }
+}
+
 /// Writes what `fill` makes under `key`, whole or not at all; returns its length [bytes].
+///
+/// The file is flushed to the disk before it is renamed. The folder is not: a name that a power cut takes back costs
+/// reuse alone, and flushing it would double the time that a small file takes.
 pub fn write(
     path: &Path,
     format: Format,
     key: &Key,
     fill: impl FnOnce(&mut Writer) -> io::Result<()>,
 ) -> io::Result<u64> {
-    let mut length = 0;
-    let filled = |file: &mut File| {
-        file.write_all(&[0; HEADER])?;
-        let file_writer = BufWriter::with_capacity(BUFFER, &mut *file);
-        let mut body = Writer { file: file_writer, hasher: blake3::Hasher::new(), length: 0, limit: format.limit };
-        fill(&mut body)?;
-        body.flush()?;
-        length = body.length;
-        let checksum = body.hasher.finalize();
-        drop(body);
-        file.rewind()?;
-        file.write_all(&header(format, key, length, &checksum))
-    };
-    luxel_export::write_atomic_with(path, filled).map_err(|error| match error {
-        ExportError::Io { cause, .. } => cause,
-        error => io::Error::other(error),
-    })?;
+    // Before anything is made for it in vain.
+    if path.is_dir() {
+        return Err(io::ErrorKind::IsADirectory.into());
+    }
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    std::fs::create_dir_all(folder)?;
+    let mut builder = tempfile::Builder::new();
+    builder.prefix(TEMPORARY.0).suffix(TEMPORARY.1);
+    // A temporary file is private by default; others may share a store, as far as the umask says.
+    #[cfg(unix)]
+    builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
+    let mut file = builder.tempfile_in(folder)?;
+    let length = write_to(file.as_file_mut(), format, key, fill)?;
+    file.as_file().sync_all()?;
+    file.persist(path).map_err(|e| e.error)?;
+    Ok(length)
+}
+
+fn write_to(
+    file: &mut File,
+    format: Format,
+    key: &Key,
+    fill: impl FnOnce(&mut Writer) -> io::Result<()>,
+) -> io::Result<u64> {
+    file.write_all(&[0; HEADER])?;
+    let mut body = Writer(BufWriter::with_capacity(BUFFER, Hashed::new(file, format.limit)));
+    fill(&mut body)?;
+    let Hashed { file, hasher, length, .. } = body.0.into_inner().map_err(io::IntoInnerError::into_error)?;
+    file.rewind()?;
+    file.write_all(&header(format, key, length, &hasher.finalize()))?;
     Ok(length)
 }
 
 /// The body of a file that is being read. Its bytes are not verified yet.
 pub struct Reader {
-    file: BufReader<File>,
-    hasher: blake3::Hasher,
+    file: BufReader<Hashed<File>>,
     left: u64,
 }
 
@@ -139,7 +188,6 @@ impl Read for Reader {
     fn read(&mut self, bytes: &mut [u8]) -> io::Result<usize> {
         let most = bytes.len().min(usize::try_from(self.left).unwrap_or(usize::MAX));
         let count = self.file.read(&mut bytes[..most])?;
-        self.hasher.update(&bytes[..count]);
         self.left -= count as u64;
         Ok(count)
     }
@@ -153,15 +201,16 @@ pub fn read<T>(
     decode: impl FnOnce(&mut Reader) -> Result<T, String>,
 ) -> Result<T, Miss> {
     let (file, stated, checksum) = open(path, format, key)?;
-    let file = BufReader::with_capacity(BUFFER, file);
-    let mut body = Reader { file, hasher: blake3::Hasher::new(), left: stated };
+    let file = BufReader::with_capacity(BUFFER, Hashed::new(file, format.limit));
+    let mut body = Reader { file, left: stated };
     let decoded = decode(&mut body);
     // Damage explains a content that does not decode, so the rest is hashed whatever became of it.
     let unread = io::copy(&mut body, &mut io::sink()).map_err(Miss::Unreadable)?;
     if body.left > 0 {
         return Err(Miss::Torn { stated, found: stated - body.left });
     }
-    if *body.hasher.finalize().as_bytes() != checksum {
+    // What somebody appends meanwhile would pass the hasher too, and then it is damage.
+    if *body.file.get_ref().hasher.finalize().as_bytes() != checksum {
         return Err(Miss::Damaged);
     }
     let decoded = decoded.map_err(Miss::Content)?;

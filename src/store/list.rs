@@ -8,10 +8,8 @@ use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime};
 
+use super::file::TEMPORARY;
 use super::{Key, Kind, OCTREE};
-
-/// Begin and end of the names of files that are being written, or were when their writer was killed.
-const TEMPORARY: (&str, &str) = (".luxel-", ".tmp");
 
 /// The suffix of the one file per scene that earlier versions kept here.
 const OLD_SUFFIX: &str = "octree";
@@ -111,7 +109,8 @@ impl Listing {
 /// Looks at everything in a folder, if there is one.
 fn each(folder: &Path, mut look: impl FnMut(Held)) -> io::Result<()> {
     let entries = match fs::read_dir(folder) {
-        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(()),
+        // A file may lie where the folder would: then nothing is stored there.
+        Err(error) if matches!(error.kind(), io::ErrorKind::NotFound | io::ErrorKind::NotADirectory) => return Ok(()),
         entries => entries?,
     };
     for entry in entries {

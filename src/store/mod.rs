@@ -23,9 +23,12 @@
 //!
 //! **Recency.** The modification time of a file is when it was last used: every hit sets it where it may be set.
 //!
-//! **Bodies are not compressed.** zstd at its fastest level saves 46 % of an octree of 10 MB, and nothing elsewhere that
-//! floats fill, but reading takes twice as long where the disk is not slower than 1 GB/s; reading again after an edit is
-//! what the store is for.
+//! **Bodies are not compressed.** zstd at level 1 leaves 47 % of a level's octree and 72 % of irradiance at texels, packs
+//! 0.2 GB/s and unpacks 0.6 to 0.9 GB/s on a core, where a plain body is read and verified at 1 to 2 GB/s. After an edit
+//! somebody waits for that, and a store that is too large for its disk has its cap.
+//!
+//! **Trust.** A checksum tells damage, not malice. Decoders withstand any bytes, but whoever may write to a store may
+//! change what light others bake from it.
 
 mod evict;
 pub mod file;

@@ -30,13 +30,13 @@ impl Notes {
         if self.told.len() > MOST {
             self.more += 1;
         } else {
-            self.lines.push(format!("{}: stored light of no use, which is made anew: {miss}", path.display()));
+            self.lines.push(format!("{} is of no use, so it is made anew: {miss}", path.display()));
         }
     }
 
     /// A file could not be written.
     pub fn unwritten(&mut self, path: &Path, error: &io::Error) {
-        let first = || (format!("{}: cannot be stored, so the next bake makes it again: {error}", path.display()), 0);
+        let first = || (format!("{} cannot be written, so the next bake makes it again: {error}", path.display()), 0);
         match &mut self.unwritten {
             Some((_, more)) => *more += 1,
             none => *none = Some(first()),
@@ -46,7 +46,7 @@ impl Notes {
     /// The store could not be made smaller.
     pub fn oversized(&mut self, folder: &Path, why: &str) {
         if !std::mem::replace(&mut self.has_told_size, true) {
-            self.lines.push(format!("{}: the store cannot be kept below its cap: {why}", folder.display()));
+            self.lines.push(format!("the store {} cannot be kept below its cap: {why}", folder.display()));
         }
     }
 
@@ -78,8 +78,8 @@ mod tests {
         }
         let lines = notes.take();
         assert_eq!(lines.len(), 3, "{lines:?}");
-        assert!(lines[0].starts_with("a: ") && lines[0].contains("checksum"), "{}", lines[0]);
-        assert!(lines[2].starts_with("x: ") && lines[2].ends_with("(2 more likewise)"), "{}", lines[2]);
+        assert!(lines[0].starts_with("a is ") && lines[0].contains("checksum"), "{}", lines[0]);
+        assert!(lines[2].starts_with("x cannot ") && lines[2].ends_with("(2 more likewise)"), "{}", lines[2]);
         notes.missed("a".as_ref(), &Miss::Damaged);
         assert!(notes.take().is_empty());
         for i in 0..MOST {
