@@ -27,6 +27,7 @@
 pub mod bake;
 pub mod discover;
 mod error;
+pub mod live;
 pub mod plan;
 pub mod preview;
 pub mod settings;
