@@ -25,7 +25,8 @@ pub fn run(
     let how = FinishSettings { padding: settings.padding.0, ..FinishSettings::default() };
     let open = |i: usize| !light.buried[i];
     let (images, report) = finish(scene, atlas, |i| open(i).then(|| light.total(i)), &how)?;
-    let lightmaps = images.into_iter().map(lightmap).collect::<Result<_, _>>()?;
+    let buried = buried(atlas, light);
+    let lightmaps = images.into_iter().zip(&buried).map(|(i, b)| lightmap(i, b)).collect::<Result<_, _>>()?;
     progress.advance(1);
     progress.check()?;
     let mut bounds = Vec::new();
@@ -41,8 +42,18 @@ pub fn run(
     Ok((lightmaps, bounds, report))
 }
 
-fn lightmap(image: Image) -> Result<Lightmap, Error> {
-    Ok(Lightmap::new(image.width, image.height, image.values, image.coverage)?)
+fn lightmap(image: Image, buried: &[usize]) -> Result<Lightmap, Error> {
+    Ok(Lightmap::new(image.width, image.height, image.values, image.coverage)?.with_buried(buried)?)
+}
+
+/// Places of the buried texels of each page.
+fn buried(atlas: &Atlas, light: &TexelLight) -> Vec<Vec<usize>> {
+    let mut places = vec![Vec::new(); atlas.pages.len()];
+    for (texel, _) in atlas.texels.iter().zip(&light.buried).filter(|(_, buried)| **buried) {
+        let page = atlas.chart(texel).page as usize;
+        places[page].push(usize::from(texel.y) * atlas.pages[page].width as usize + usize::from(texel.x));
+    }
+    places
 }
 
 fn bound(image: Image) -> Result<BoundMap, Error> {

@@ -92,10 +92,11 @@ impl Answer {
 }
 
 /// Header lines of every answer. Nothing is kept by the browser, no other origin may use anything, and a page runs
-/// and loads only what comes from here; `blob:` is how pictures inside a .glb reach the browser's decoder.
+/// and loads only what comes from here; `blob:` is how pictures inside a .glb reach the browser's decoder, and WebAssembly
+/// is the decoder of meshopt's vertices.
 const COMMON: &str = "Connection: close\r\nCache-Control: no-store\r\nX-Content-Type-Options: nosniff\r\n\
     Cross-Origin-Resource-Policy: same-origin\r\nReferrer-Policy: no-referrer\r\nX-Frame-Options: DENY\r\n\
-    Content-Security-Policy: default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob: data:; \
+    Content-Security-Policy: default-src 'none'; script-src 'self' 'wasm-unsafe-eval'; style-src 'self'; img-src 'self' blob: data:; \
     connect-src 'self' blob: data:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'\r\n";
 
 /// Reads and checks a request. `port` is the one that is listened at.

@@ -8,6 +8,7 @@ use std::io::{Cursor, Read};
 
 use exr::meta::MetaData;
 use exr::prelude::{ReadChannels, ReadLayers, f16, read};
+use luxel_export::openexr::BURIED;
 
 /// No more texels are decoded.
 const MAX_TEXELS: usize = 1 << 26;
@@ -15,9 +16,6 @@ const MAX_TEXELS: usize = 1 << 26;
 const MAX_BYTES: u64 = 24 * MAX_TEXELS as u64;
 /// The largest number that is laid on a half float (the largest of all is 65504).
 const MAX_HALF: f32 = 60_000.0;
-/// Channel that is 1 where a texel's point is inside or under geometry.
-const BURIED: &str = "buried";
-
 /// The texels of an .exr that luxel wrote; what is wrong with it otherwise.
 pub fn decode(file: impl Read) -> Result<Vec<u8>, String> {
     let mut bytes = Vec::new();
@@ -82,6 +80,15 @@ mod tests {
         let expected =
             [[0.0, 0.5, 1024.0, 1.0], [1.0, 0.5, 1024.0, 0.5], [2.0, 0.5, 1024.0, 0.0], [3.0, 0.5, 1024.0, 0.25]];
         assert_eq!(numbers, expected.concat());
+    }
+
+    #[test]
+    fn buried_texels_have_negative_coverage() {
+        let map = Lightmap::new(2, 2, vec![Vec3::ONE; 4], vec![1.0, 0.5, 1.0, 0.0]).unwrap();
+        let bytes = encode_exr(&map.with_buried(&[2, 1]).unwrap(), Depth::Half, "k").unwrap();
+        let (_, _, _, numbers) = read_back(&decode(&bytes[..]).unwrap());
+        let cover: Vec<f32> = numbers.into_iter().skip(3).step_by(4).collect();
+        assert_eq!(cover, [1.0, -0.5, -1.0, 0.0]);
     }
 
     #[test]

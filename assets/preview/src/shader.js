@@ -37,7 +37,7 @@ varying vec2 vLightmap;
 #endif
 uniform mat3 baseMatrix, emissiveMatrix, metalMatrix;
 varying vec2 vBase, vEmissive, vMetal;
-varying vec3 vWorld, vNormalView;
+varying vec3 vToEye, vNormalView;
 varying vec4 vColor;
 void main() {
   #include <beginnormal_vertex>
@@ -51,7 +51,7 @@ void main() {
   #include <morphtarget_vertex>
   #include <skinning_vertex>
   #include <project_vertex>
-  vWorld = -mvPosition.xyz;
+  vToEye = -mvPosition.xyz;
   vColor = vec4(1.0);
   #ifdef USE_CORNER_COLOR
   vColor = color;
@@ -81,7 +81,7 @@ uniform float opacity, alphaCut, metallic, roughness, lightmapScale;
 uniform vec2 lightmapSize;
 uniform sampler2D baseMap, emissiveMap, metalMap, lightmap, texels;
 varying vec2 vBase, vEmissive, vMetal;
-varying vec3 vWorld, vNormalView;
+varying vec3 vToEye, vNormalView;
 varying vec4 vColor;
 #ifdef LIGHTMAP_SET
 varying float vChart;
@@ -98,8 +98,8 @@ vec3 toned(vec3 radiance) {
 
 // A little shape for views without light, from the eye's side.
 float shape() {
-  vec3 normal = dot(vNormalView, vNormalView) > 0.0 ? normalize(vNormalView) : cross(dFdx(vWorld), dFdy(vWorld));
-  return 0.6 + 0.4 * abs(dot(normalize(normal), normalize(vWorld)));
+  vec3 normal = dot(vNormalView, vNormalView) > 0.0 ? normalize(vNormalView) : cross(dFdx(vToEye), dFdy(vToEye));
+  return 0.6 + 0.4 * abs(dot(normalize(normal), normalize(vToEye)));
 }
 
 // Diagonal stripes: nothing is known here.
@@ -117,7 +117,7 @@ vec3 hue(float turn) {
 float density() {
   vec2 texel = vLightmap * lightmapSize;
   vec2 tx = dFdx(texel), ty = dFdy(texel);
-  float area = length(cross(dFdx(vWorld), dFdy(vWorld)));
+  float area = length(cross(dFdx(vToEye), dFdy(vToEye)));
   return sqrt(abs(tx.x * ty.y - tx.y * ty.x) / max(area, 1e-30));
 }
 

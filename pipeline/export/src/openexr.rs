@@ -1,7 +1,8 @@
 //! Lightmaps as OpenEXR: the master copy, E in lux without loss.
 //!
 //! Layout: channels R, G, B (irradiance E (lux), linear Rec. 709) and A (coverage), row 0 at v = 0, ZIP-compressed
-//! scan lines in increasing order. Attributes: `software`, `luxel:unit`, `luxel:key` (the hash of what went into the
+//! scan lines in increasing order. Where some texels' points lie inside or under other geometry, a fifth channel
+//! `buried` (16 bit) is 1 at them and 0 elsewhere; readers of colours pass it over. Attributes: `software`, `luxel:unit`, `luxel:key` (the hash of what went into the
 //! bake). There is no date, so the same light gives the same bytes.
 
 use std::io::Cursor;
@@ -13,6 +14,9 @@ use exr::prelude::{
 use exr::{image::Blocks, meta::attribute::AttributeValue};
 
 use crate::{BoundMap, ExportError, Lightmap};
+
+/// Name of the channel that tells buried texels.
+pub const BURIED: &str = "buried";
 
 /// How the values of an EXR file are stored.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
@@ -27,26 +31,31 @@ pub enum Depth {
 /// The bytes of a lightmap as EXR. `key` is the hash under which the bake is known, as hexadecimal digits.
 pub fn encode_exr(map: &Lightmap, depth: Depth, key: &str) -> Result<Vec<u8>, ExportError> {
     let band = |c: usize| map.irradiance().iter().map(|e| e[c]).collect::<Vec<f32>>();
-    let channels = [("R", band(0)), ("G", band(1)), ("B", band(2)), ("A", map.coverage().to_vec())];
-    encode(map.width(), map.height(), channels.into(), depth, key)
+    let named = [("R", band(0)), ("G", band(1)), ("B", band(2)), ("A", map.coverage().to_vec())];
+    let mut channels = Vec::new();
+    for (name, values) in named {
+        channels.push(AnyChannel::new(name, samples(name, values, depth)?));
+    }
+    if !map.buried().is_empty() {
+        let marks = map.buried().iter().map(|b| f16::from_f32(f32::from(*b))).collect();
+        channels.push(AnyChannel::new(BURIED, FlatSamples::F16(marks)));
+    }
+    encode(map.width(), map.height(), channels, key)
 }
 
 /// The bytes of a bound image as EXR, one channel Y (lux).
 pub fn encode_bound_exr(map: &BoundMap, depth: Depth, key: &str) -> Result<Vec<u8>, ExportError> {
-    encode(map.width(), map.height(), vec![("Y", map.bound().to_vec())], depth, key)
+    let channel = AnyChannel::new("Y", samples("Y", map.bound().to_vec(), depth)?);
+    encode(map.width(), map.height(), vec![channel], key)
 }
 
 fn encode(
     width: u32,
     height: u32,
-    channels: Vec<(&str, Vec<f32>)>,
-    depth: Depth,
+    channels: Vec<AnyChannel<FlatSamples>>,
     key: &str,
 ) -> Result<Vec<u8>, ExportError> {
-    let mut list = SmallVec::new();
-    for (name, values) in channels {
-        list.push(AnyChannel::new(name, samples(name, values, depth)?));
-    }
+    let list: SmallVec<_> = channels.into_iter().collect();
     let mut attributes = LayerAttributes {
         software_name: Some(Text::from(concat!("luxel ", env!("CARGO_PKG_VERSION")))),
         ..LayerAttributes::default()
@@ -79,7 +88,7 @@ fn samples(name: &str, values: Vec<f32>, depth: Depth) -> Result<FlatSamples, Ex
 #[cfg(test)]
 mod tests {
     use super::*;
-    use exr::prelude::read_first_flat_layer_from_file;
+    use exr::prelude::{read_first_flat_layer_from_file, read_first_rgba_layer_from_file};
     use glam::Vec3;
 
     fn map(scale: f32) -> Lightmap {
@@ -124,6 +133,29 @@ mod tests {
         for _ in 0..8 {
             assert_eq!(encode_exr(&map, Depth::Float, "k").unwrap(), first);
         }
+    }
+
+    #[test]
+    fn buried_texels_have_a_channel_of_their_own_that_readers_of_colours_pass_over() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("level.lightmap.exr");
+        let map = map(1.0).with_buried(&[34, 3]).unwrap();
+        std::fs::write(&path, encode_exr(&map, Depth::Float, "k").unwrap()).unwrap();
+        let image = read_first_flat_layer_from_file(&path).unwrap();
+        let channels = &image.layer_data.channel_data.list;
+        let names: Vec<String> = channels.iter().map(|c| c.name.to_string()).collect();
+        assert_eq!(names, ["A", "B", "G", "R", BURIED]);
+        let marked: Vec<usize> =
+            channels[4].sample_data.values_as_f32().enumerate().filter(|(_, v)| *v == 1.0).map(|(i, _)| i).collect();
+        assert_eq!(marked, [3, 34]);
+        let colours = read_first_rgba_layer_from_file(
+            &path,
+            |size, _| vec![0.0; size.area()],
+            |reds: &mut Vec<f32>, at, (r, _, _, _): (f32, f32, f32, f32)| reds[at.y() * 7 + at.x()] = r,
+        );
+        let reds = colours.unwrap().layer_data.channel_data.pixels;
+        assert_eq!(reds, map.irradiance().iter().map(|e| e.x).collect::<Vec<f32>>());
+        assert!(Lightmap::new(1, 1, vec![Vec3::ONE], vec![1.0]).unwrap().with_buried(&[1]).is_err());
     }
 
     #[test]
