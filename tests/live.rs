@@ -1,12 +1,14 @@
 //! The live preview: what the server refuses, what it serves, how soon pages learn of a change, and the page itself in
 //! a headless browser.
 
+use std::f64::consts::FRAC_PI_2;
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::{IpAddr, Ipv4Addr, SocketAddr, TcpStream};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
+use glam::{DAffine3, DQuat, DVec3};
 use image::Rgb;
 use luxel::live::{Bundle, Live, Options, Status};
 use luxel::settings::{Preset, Resolved, Settings, value::Texels};
@@ -246,7 +248,9 @@ fn only_small_requests_without_body_are_answered() {
     ] {
         assert_eq!(raw(&live, long.as_bytes()).0, 431);
     }
-    for nonsense in [&b"\x16\x03\x01\x02\x00\x01\x00\r\n\r\n"[..], b"GET\r\n\r\n", b"GET / SPDY/9\r\n\r\n", b"\r\n\0\r\n"] {
+    for nonsense in
+        [&b"\x16\x03\x01\x02\x00\x01\x00\r\n\r\n"[..], b"GET\r\n\r\n", b"GET / SPDY/9\r\n\r\n", b"\r\n\0\r\n"]
+    {
         assert_eq!(raw(&live, nonsense).0, 400, "{nonsense:?}");
     }
     assert_eq!(get(&live, "/").0, 200, "and it goes on");
@@ -270,7 +274,10 @@ fn idle_and_too_many_connections_do_not_stop_it() {
     assert!(begun.elapsed() < LIMIT);
     drop(idle);
     let served = || get(&live, "/").0 == 200;
-    assert!((0..200).any(|_| served() || { std::thread::sleep(Duration::from_millis(20)); false }));
+    assert!((0..200).any(|_| served() || {
+        std::thread::sleep(Duration::from_millis(20));
+        false
+    }));
 }
 
 #[test]
@@ -406,6 +413,15 @@ fn the_page_shows_the_cornell_box_and_a_changed_lamp_without_being_loaded_again(
     let live = start(&sources().join("dist"));
     let (scene, report) = baked(&cornell([17.0, 12.0, 4.0]), folder.path(), 256);
     live.changed(&scene, &report).unwrap();
+    // The same from within the high block, whose back sides are not drawn: one sees the floor on which it stands.
+    let mut within = cornell([17.0, 12.0, 4.0]);
+    let floor = DVec3::new(-0.0925, 0.0, -0.0725);
+    let looking_down = DAffine3::from_rotation_translation(DQuat::from_rotation_x(-FRAC_PI_2), floor + 0.08 * DVec3::Y);
+    within.cameras[0].transform = looking_down;
+    let other = folder.path().join("other");
+    std::fs::create_dir(&other).unwrap();
+    let (second, report) = baked(&within, &other, 64);
+    live.changed(&second, &report).unwrap();
     let mut browser = Browser::open(&live, &shots, tools);
     let shown = browser.event("shown");
     let (scene, report) = baked(&cornell([3.0, 9.0, 20.0]), folder.path(), 256);
@@ -420,15 +436,41 @@ fn the_page_shows_the_cornell_box_and_a_changed_lamp_without_being_loaded_again(
     assert_eq!(done["errors"], serde_json::json!([]));
 
     let picture = |name: &str| image::open(shots.join(format!("{name}.png"))).unwrap().to_rgb8();
-    let names = ["lit", "lightmap", "albedo", "density", "charts", "invalid", "bytes", "changed"];
-    let pictures: Vec<_> = names.iter().map(|name| picture(name)).collect();
-    let [lit, lightmap, albedo, density, charts, invalid, bytes, changed] = &pictures[..] else { panic!() };
-    // The box fills the picture's middle: walls at its sides, the floor below.
-    let (left, right, floor) = ([0.36, 0.40], [0.80, 0.84], [0.88, 0.95]);
-    let (middle, all) = ([0.35, 0.65], [0.45, 0.80]);
-    for shaded in [lit, albedo, bytes] {
-        let (red, green) = (mean(shaded, [0.19, 0.24], middle), mean(shaded, [0.77, 0.81], middle));
+    let [lit, bytes, albedo, lightmap] = ["lit", "bytes", "albedo", "lightmap"].map(picture);
+    // Places in the picture, all free of the panel: two walls, and the back wall above the blocks.
+    let left = |p: &_| mean(p, [0.19, 0.27], [0.60, 0.75]);
+    let right = |p: &_| mean(p, [0.72, 0.80], [0.35, 0.65]);
+    let back = |p: &_| mean(p, [0.36, 0.65], [0.25, 0.35]);
+    for colours in [&lit, &albedo, &bytes] {
+        let (red, green) = (left(colours), right(colours));
         assert!(red[0] > 2.0 * red[1] && green[1] > 1.3 * green[0], "{red:?} {green:?}");
     }
-    let _ = (left, right, floor, all, lightmap, density, charts, invalid, changed);
+    let (lit_back, bytes_back) = (back(&lit), back(&bytes));
+    assert!(lit_back[0] > 1.3 * lit_back[2], "the lamp is yellow: {lit_back:?}");
+    assert!((0..3).all(|c| (lit_back[c] - bytes_back[c]).abs() < 3.0), "{lit_back:?} {bytes_back:?}");
+    let white = right(&lightmap);
+    assert!(white[0] > white[1] && white[1] > white[2], "light without the wall's green: {white:?}");
+
+    let (density, charts, invalid) = (picture("density"), picture("charts"), picture("invalid"));
+    let grey = |colour: [f64; 3]| (0..3).all(|c| (colour[c] - colour[0]).abs() < 3.0);
+    assert!(grey(back(&density)) && grey(back(&invalid)), "the density is as usual, and all texels are valid");
+    assert!(back(&invalid)[0] > 30.0);
+    assert_eq!(colours(&density, 0.02).len(), 2 + 1, "checks of two greys, and nothing around the box");
+    assert!(colours(&charts, 0.002).len() > 12, "{:?}", colours(&charts, 0.002));
+
+    let changed_back = back(&picture("changed"));
+    assert!(changed_back[2] > 1.3 * changed_back[0], "the lamp is blue: {changed_back:?}");
+    let red = mean(&picture("buried"), [0.45, 0.65], [0.4, 0.6]);
+    let legend = [237.0, 69.0, 55.0];
+    assert!((0..3).all(|c| (red[c] - legend[c]).abs() < 2.0), "the floor below a block is buried: {red:?}");
+}
+
+/// Colours, in steps of sixteen, that have at least a share of a picture's right half, where no panel is.
+fn colours(picture: &image::RgbImage, share: f64) -> Vec<[u8; 3]> {
+    let mut counts = std::collections::BTreeMap::<[u8; 3], u32>::new();
+    for (_, _, pixel) in picture.enumerate_pixels().filter(|(x, ..)| *x > picture.width() / 2) {
+        *counts.entry(pixel.0.map(|c| c / 16)).or_default() += 1;
+    }
+    let least = share * f64::from(picture.width() / 2) * f64::from(picture.height());
+    counts.into_iter().filter(|(_, count)| f64::from(*count) >= least).map(|(colour, _)| colour).collect()
 }

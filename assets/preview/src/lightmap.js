@@ -43,7 +43,8 @@ export class LightmapPlugin {
   }
 
   async read(material) {
-    const found = material.userData.gltfExtensions?.[this.name];
+    const index = this.parser.associations.get(material)?.materials;
+    const found = this.parser.json.materials?.[index]?.extensions?.[this.name];
     if (found === undefined) return;
     const source = await this.parser.getDependency('texture', found.index);
     // The loader gives out one texture to all who ask, with the settings of who asked first.

@@ -36,11 +36,15 @@ await photograph('bytes');
 await page.click('#bytes');
 await drawn();
 const before = await revision();
-const canvas = await page.evaluate(() => [...document.querySelectorAll('canvas')].map((c) => [c.width, c.height]));
-tell('shown', { revision: before, canvas });
+tell('shown', { revision: before });
 await page.waitForFunction((old) => Number(document.documentElement.dataset.revision) > old, before, { timeout: 90_000 });
 tell('updated', { revision: await revision() });
 await photograph('changed');
+// The second scene, whose camera stands where texels are buried.
+await page.selectOption('#scenes', '1');
+await page.waitForFunction((last) => document.documentElement.dataset.revision !== last, String(await revision()), { timeout: 90_000 });
+await page.keyboard.press('6');
+await photograph('buried');
 const kept = await page.evaluate(() => window.kept ?? null);
 const trouble = await page.evaluate(() => (document.getElementById('trouble').hidden ? null : document.getElementById('trouble').textContent));
 tell('done', { kept, trouble, errors });

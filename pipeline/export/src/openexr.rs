@@ -49,12 +49,7 @@ pub fn encode_bound_exr(map: &BoundMap, depth: Depth, key: &str) -> Result<Vec<u
     encode(map.width(), map.height(), vec![channel], key)
 }
 
-fn encode(
-    width: u32,
-    height: u32,
-    channels: Vec<AnyChannel<FlatSamples>>,
-    key: &str,
-) -> Result<Vec<u8>, ExportError> {
+fn encode(width: u32, height: u32, channels: Vec<AnyChannel<FlatSamples>>, key: &str) -> Result<Vec<u8>, ExportError> {
     let list: SmallVec<_> = channels.into_iter().collect();
     let mut attributes = LayerAttributes {
         software_name: Some(Text::from(concat!("luxel ", env!("CARGO_PKG_VERSION")))),
