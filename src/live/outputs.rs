@@ -113,6 +113,12 @@ impl File {
         Ok((hasher.finalize().to_hex().as_str() == self.hash).then_some((file, length)))
     }
 
+    /// Its whole content; none while it is not what the report says.
+    pub fn read(&self, most: u64) -> io::Result<Option<Vec<u8>>> {
+        let bytes = small(&self.path, most)?;
+        Ok((blake3::hash(&bytes).to_hex().as_str() == self.hash).then_some(bytes))
+    }
+
     pub fn content_type(&self) -> &'static str {
         match self.kind {
             Kind::Glb => "model/gltf-binary",
@@ -216,8 +222,10 @@ mod tests {
         assert!(file.open().is_err(), "it is not there yet");
         std::fs::write(at("a.preview.png"), b"png").unwrap();
         assert_eq!(file.open().unwrap().unwrap().1, 3);
+        assert_eq!(file.read(3).unwrap().unwrap(), b"png");
+        assert!(file.read(2).is_err(), "larger than asked for");
         std::fs::write(at("a.preview.png"), b"other").unwrap();
-        assert!(file.open().unwrap().is_none());
+        assert!(file.open().unwrap().is_none() && file.read(99).unwrap().is_none());
         for bad in ["", "[]", "{\"schema\":1}"] {
             std::fs::write(at("a.bake.json"), bad).unwrap();
             assert!(matches!(Outputs::read(&at("a.bake.json")), Err(LiveError::Report { .. })));

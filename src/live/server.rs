@@ -145,12 +145,13 @@ fn output(shared: &Shared, scene: usize, decoded: bool, file: usize, query: Opti
     if decoded && !matches!(file.kind, Kind::Lightmap(_)) {
         return Err(Refusal::Missing);
     }
-    let (opened, length) = file.open().map_err(|_| Refusal::Overtaken)?.ok_or(Refusal::Overtaken)?;
     if !decoded {
+        let (opened, length) = file.open().map_err(|_| Refusal::Overtaken)?.ok_or(Refusal::Overtaken)?;
         return Ok(Answer::ok(file.content_type(), Body::File(opened, length)));
     }
     let _one = shared.decoding.lock().unwrap_or_else(PoisonError::into_inner);
-    let texels = texels::decode(opened).map_err(|_| Refusal::Broken)?;
+    let exr = file.read(texels::MAX_BYTES).map_err(|_| Refusal::Overtaken)?.ok_or(Refusal::Overtaken)?;
+    let texels = texels::decode(&exr).map_err(|_| Refusal::Broken)?;
     Ok(Answer::ok("application/octet-stream", Body::Bytes(texels)))
 }
 

@@ -57,6 +57,8 @@ function onShown(scene, level) {
 function onDrawn(scene, isLevel, isOther) {
   if (isOther) expose();
   if (isLevel) setView(viewer.view);
+  // For programs that look at the page.
+  document.documentElement.dataset.milliseconds = (performance.now() - scene.heard).toFixed(0);
   document.documentElement.dataset.revision = scene.revision;
   describe();
 }
@@ -111,6 +113,7 @@ function select(number) {
 
 function onScene(scene) {
   const known = scenes.get(scene.scene);
+  scene.heard = performance.now();
   // Whoever starts luxel anew at the same port counts from the beginning.
   scenes.set(scene.scene, scene);
   if (!known || known.path !== scene.path) {

@@ -1,7 +1,7 @@
 // The picture: camera, exposure, drawing when something has changed.
 
 import {
-  Color, HalfFloatType, PerspectiveCamera, RGBAFormat, Scene, Spherical, Vector3, WebGLRenderer, WebGLRenderTarget,
+  Color, HalfFloatType, PerspectiveCamera, RGBAFormat, Raycaster, Scene, Spherical, Vector2, Vector3, WebGLRenderer, WebGLRenderTarget,
 } from 'three';
 import { OrbitControls } from 'three/examples/jsm/controls/OrbitControls.js';
 import { VIEWS, common } from './shader.js';
@@ -13,6 +13,8 @@ const TRIM = 0.02;
 const WHITE = 0.995;
 // Side of the picture that is measured.
 const MEASURED = 64;
+// Directions in which a level is looked at for walls.
+const ROUND = 12;
 
 export class Viewer {
   constructor(canvas) {
@@ -22,7 +24,9 @@ export class Viewer {
     this.scene.background = new Color(0x17181a);
     this.camera = new PerspectiveCamera(50, 1, 0.01, 100);
     this.controls = new OrbitControls(this.camera, canvas);
+    this.controls.zoomToCursor = true;
     this.controls.addEventListener('change', () => this.wake());
+    canvas.addEventListener('dblclick', (event) => this.orbit(event.clientX, event.clientY));
     this.level = null;
     this.auto = { exposure: 1, white: 4 };
     this.stops = 0;
@@ -81,6 +85,8 @@ export class Viewer {
       const depth = Math.max(centre.clone().sub(this.camera.position).dot(ahead), size / 10);
       this.controls.target.copy(this.camera.position).addScaledVector(ahead, depth);
       this.camera.fov = own.fov;
+    } else if (this.inside(centre)) {
+      this.camera.fov = 70;
     } else {
       this.camera.fov = 50;
       const away = new Vector3().setFromSpherical(new Spherical(1, 1.15, 0.6));
@@ -89,6 +95,35 @@ export class Viewer {
     }
     this.camera.updateProjectionMatrix();
     this.controls.update();
+  }
+
+  // Takes place in the middle of a level that closes round it, and looks where it is widest. False, and nothing done, in
+  // a level that is open to most sides.
+  inside(centre) {
+    const rays = new Raycaster();
+    const look = (direction) => {
+      rays.set(centre, direction);
+      return rays.intersectObject(this.level.root)[0]?.distance ?? Infinity;
+    };
+    const around = Array.from({ length: ROUND }, (_, i) => new Vector3().setFromSphericalCoords(1, Math.PI / 2, 2 * Math.PI * i / ROUND));
+    const seen = around.map((direction) => ({ direction, distance: look(direction) }));
+    const walls = seen.filter(({ distance }) => distance < Infinity);
+    if (walls.length < 0.75 * ROUND) return false;
+    const { direction, distance } = walls.reduce((a, b) => (b.distance > a.distance ? b : a));
+    this.camera.position.copy(centre);
+    this.controls.target.copy(centre).addScaledVector(direction, distance / 4);
+    return true;
+  }
+
+  // Orbits about the point under the pointer from now on.
+  orbit(x, y) {
+    const rays = new Raycaster();
+    rays.setFromCamera(new Vector2(2 * x / window.innerWidth - 1, 1 - 2 * y / window.innerHeight), this.camera);
+    const hit = this.level && rays.intersectObject(this.level.root)[0];
+    if (!hit) return;
+    this.controls.target.copy(hit.point);
+    this.controls.update();
+    this.wake();
   }
 
   set view(name) {
