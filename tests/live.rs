@@ -295,7 +295,7 @@ fn events_tell_how_scenes_stand_and_what_is_new() {
     let (scene, report) = baked(&cornell([17.0, 12.0, 4.0]), folder.path(), 32);
     live.changed(&scene, &report).unwrap();
     let first = early.told().remove(0);
-    assert_eq!(Listener::new(&live).told(), [first.clone()], "who comes later hears the same");
+    assert_eq!(Listener::new(&live).told()[..], *std::slice::from_ref(&first), "who comes later hears the same");
     assert_eq!(first["status"]["state"], "current");
     let outputs = &first["outputs"];
     assert!(outputs["facts"]["mean_irradiance_lux"].as_f64().unwrap() > 0.0);

@@ -13,7 +13,7 @@ const LEGENDS = {
   albedo: () => 'ρ: what surfaces reflect, as luxel bakes it',
   density: () => `<div class="ramp" id="ramp"></div><div class="ends"><span>¼</span><span>${figure(common.usualDensity.value)} texels a unit</span><span>4×</span></div>checks of 8 × 8 texels`,
   charts: () => `${viewer.level?.charts ?? 0} charts, each of one colour`,
-  invalid: () => [['buried', 'inside or under other geometry: filled from neighbours'], ['partial', 'less than half of the texel is covered'], ['outside', 'no texel of a chart']]
+  invalid: () => [['buried', 'inside or under other geometry: filled from neighbours'], ['partial', 'less than half of the texel is covered'], ['outside', 'padding: no chart covers this texel']]
     .map(([kind, text]) => `<div><i class="${kind}"></i>${text}</div>`).join(''),
 };
 

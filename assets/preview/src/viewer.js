@@ -97,15 +97,19 @@ export class Viewer {
     this.controls.update();
   }
 
-  // Takes place in the middle of a level that closes round it, and looks where it is widest. False, and nothing done, in
-  // a level that is open to most sides.
-  inside(centre) {
+  // Takes place about the middle of a level that closes round it, and looks where it is widest. False, and nothing
+  // done, in a level that is open to most sides.
+  inside(middle) {
+    // Symmetric levels have corners in a plane with their very middle. Those would lie beside the camera exactly (at
+    // w = 0), where rasterisers in software go wrong.
+    const centre = this.level.bounds.getSize(new Vector3()).multiply(new Vector3(0.0117, 0.0071, 0.0093)).add(middle);
     const rays = new Raycaster();
     const look = (direction) => {
       rays.set(centre, direction);
       return rays.intersectObject(this.level.root)[0]?.distance ?? Infinity;
     };
-    const around = Array.from({ length: ROUND }, (_, i) => new Vector3().setFromSphericalCoords(1, Math.PI / 2, 2 * Math.PI * i / ROUND));
+    const towards = (i) => new Vector3().setFromSphericalCoords(1, Math.PI / 2, 2 * Math.PI * (i / ROUND + 0.0031));
+    const around = Array.from({ length: ROUND }, (_, i) => towards(i));
     const seen = around.map((direction) => ({ direction, distance: look(direction) }));
     const walls = seen.filter(({ distance }) => distance < Infinity);
     if (walls.length < 0.75 * ROUND) return false;
