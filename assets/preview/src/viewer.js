@@ -144,8 +144,8 @@ export class Viewer {
     const target = new WebGLRenderTarget(MEASURED, MEASURED, { type: HalfFloatType, format: RGBAFormat });
     const view = common.view.value;
     const background = this.scene.background;
-    // Linear and unlimited: exposure so small that the curve is a straight line, white so far that it stays one.
-    const first = 1 / Math.max(common.meanIrradiance.value, 1e-20) / 64;
+    // Half floats hold x / (1 + x), the curve without white, from 1e-7 to 2000 times the mean.
+    const first = 1 / Math.max(common.meanIrradiance.value, 1e-20);
     [common.view.value, common.exposure.value, common.white.value] = [view === 1 ? 1 : 0, first, 1e6];
     this.scene.background = new Color(0);
     this.renderer.setRenderTarget(target);
@@ -162,7 +162,7 @@ export class Viewer {
       // Back through the curve, x / (1 + x) of the brightest band.
       const most = Math.max(r, g, b);
       if (!(most > 0)) continue;
-      const y = (0.2126 * r + 0.7152 * g + 0.0722 * b) / Math.max(1 - most, 1e-3);
+      const y = (0.2126 * r + 0.7152 * g + 0.0722 * b) / Math.max(1 - most, 5e-4);
       if (y > 0) seen.push(y / first);
     }
     this.auto = exposureOf(seen);
