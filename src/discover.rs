@@ -65,38 +65,69 @@ fn named(path: &Path, out: Option<&Path>) -> Result<Vec<Found>, DiscoverError> {
         let found = Found { scene: path.into(), root: None };
         return if path.exists() { Ok(vec![found]) } else { Err(DiscoverError::Missing(path.into())) };
     }
-    let scenes = below(path, out)?;
+    let scenes = below(path, out)?.scenes;
     if scenes.is_empty() {
         return Err(DiscoverError::Empty(path.into()));
     }
     Ok(scenes.into_iter().map(|scene| Found { scene, root: Some(path.into()) }).collect())
 }
 
-fn below(root: &Path, out: Option<&Path>) -> Result<Vec<PathBuf>, DiscoverError> {
-    let mut scenes = Vec::new();
+/// What a folder holds.
+#[derive(Debug, Default)]
+pub struct Below {
+    /// Sorted.
+    pub scenes: Vec<PathBuf>,
+    /// The folders that were searched, itself first.
+    pub folders: Vec<PathBuf>,
+}
+
+/// The scenes below a folder, searched as [`find`] does; `out` is a real path, links followed. A folder that vanishes
+/// meanwhile is passed over.
+///
+/// # Errors
+/// A folder that cannot be listed.
+pub fn below(root: &Path, out: Option<&Path>) -> Result<Below, DiscoverError> {
+    let mut below = Below::default();
     let mut folders = vec![root.to_path_buf()];
     while let Some(folder) = folders.pop() {
         let failed = |source| DiscoverError::List { path: folder.clone(), source };
-        for entry in std::fs::read_dir(&folder).map_err(failed)? {
+        let entries = match std::fs::read_dir(&folder) {
+            Err(error) if error.kind() == io::ErrorKind::NotFound && folder != root => continue,
+            entries => entries.map_err(failed)?,
+        };
+        below.folders.push(folder.clone());
+        for entry in entries {
             let entry = entry.map_err(failed)?;
-            let (path, kind) = (entry.path(), entry.file_type().map_err(failed)?);
-            let name = entry.file_name();
-            let hidden = name.as_encoded_bytes().starts_with(b".");
+            let path = entry.path();
+            let kind = match entry.file_type() {
+                Err(error) if error.kind() == io::ErrorKind::NotFound => continue,
+                kind => kind.map_err(failed)?,
+            };
             if kind.is_dir() {
-                let is_out = out.is_some() && path.canonicalize().ok().as_deref() == out;
-                if !hidden && name != DEFAULT_FOLDER && !is_out {
+                if is_searched(&path, out) {
                     folders.push(path);
                 }
-            } else if !hidden && is_scene(&path) && !luxel_export::is_output(&path) {
-                scenes.push(path);
+            } else if !is_hidden(&path) && is_scene(&path) && !luxel_export::is_output(&path) {
+                below.scenes.push(path);
             }
         }
     }
-    scenes.sort();
-    Ok(scenes)
+    below.scenes.sort();
+    Ok(below)
 }
 
-fn is_scene(path: &Path) -> bool {
+/// Whether a search enters this folder.
+pub fn is_searched(folder: &Path, out: Option<&Path>) -> bool {
+    let is_out = out.is_some() && folder.canonicalize().ok().as_deref() == out;
+    !is_hidden(folder) && folder.file_name().is_some_and(|name| name != DEFAULT_FOLDER) && !is_out
+}
+
+fn is_hidden(path: &Path) -> bool {
+    path.file_name().is_some_and(|name| name.as_encoded_bytes().starts_with(b"."))
+}
+
+/// Whether the name is that of a scene.
+pub fn is_scene(path: &Path) -> bool {
     path.extension().is_some_and(|e| e.eq_ignore_ascii_case("gltf") || e.eq_ignore_ascii_case("glb"))
 }
 

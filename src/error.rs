@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use luxel_atlas::{AtlasError, FinishError};
 use luxel_export::ExportError;
 use luxel_scene::{Cancelled, ImportError};
-use luxel_transport::{gather::FieldError, octree::OctreeError, solve::SolveError, surfel::SurfelError};
+use luxel_transport::{gather::FieldError, solve::SolveError, surfel::SurfelError};
 
 use crate::settings::SettingsError;
 
@@ -26,8 +26,6 @@ pub enum Error {
     Solve(#[source] SolveError),
     #[error("the light at surfels does not fit the scene")]
     Field(#[from] FieldError),
-    #[error("the light at surfels cannot be stored; fewer --voxels may help")]
-    Octree(#[from] OctreeError),
     #[error("cannot write to the folder {path}; choose another one with --out")]
     Folder { path: PathBuf, source: std::io::Error },
     #[error(

@@ -32,6 +32,7 @@ pub mod plan;
 pub mod preview;
 pub mod settings;
 pub mod store;
+pub mod watch;
 
 pub use bake::{Baked, Lit, Request, bake, bake_scene, plan_file};
 pub use error::Error;

@@ -360,7 +360,7 @@ fn decide(stage: Stage, facts: &Facts, settings: &Settings) -> Result<String, St
 /// Per triangle: its geometry and the trees of rays, at the peak of their making.
 const RAY_TRIANGLE: u64 = 410;
 /// Per surfel: the surfel and its light while it is propagated.
-const SURFEL: u64 = 235;
+const SURFEL: u64 = 152;
 /// Per texel: where it is, and its light.
 const TEXEL: u64 = 61;
 /// Per pixel of a page: the finished images and what the encoders hold.

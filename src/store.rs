@@ -11,14 +11,21 @@
 //!
 //! A file is written whole under another name and then renamed, so that a reader sees the old one or the new one.
 //! Whatever does not verify is a [`Miss`] with its reason: the caller tells it and makes the content anew.
+//!
+//! Bodies may be large, so they are never in memory as bytes: the writer hashes what passes through and puts the header
+//! in front afterwards; the reader lets a decoder see bytes that are *not verified yet*, and gives out what it made only
+//! when the checksum of all of them fits. Decoders bound what they allocate by [`Reader::left`].
 
 use std::fs::File;
-use std::io::Read;
+use std::io::{self, BufReader, BufWriter, Read, Seek, Write};
 use std::path::Path;
 
 use luxel_export::ExportError;
 
 const HEADER: usize = 8 + 4 + 32 + 8 + 32;
+
+/// Bytes in hand between file and content.
+const BUFFER: usize = 1 << 16;
 
 /// Identity of what a stored file follows from.
 pub type Key = [u8; 32];
@@ -43,7 +50,7 @@ pub enum Miss {
     #[error("there is none yet")]
     Absent,
     #[error("it cannot be read: {0}")]
-    Unreadable(std::io::Error),
+    Unreadable(io::Error),
     #[error("it is no luxel file of this kind")]
     Foreign,
     #[error("it has format version {found}, this luxel writes {expected}")]
@@ -56,42 +63,135 @@ pub enum Miss {
     TooLarge(u64),
     #[error("its content does not match its checksum")]
     Damaged,
+    /// The bytes are those that were written, but do not decode.
+    #[error("{0}")]
+    Content(String),
 }
 
-/// Writes `body` under `key`, whole or not at all.
-pub fn write(path: &Path, format: Format, key: &Key, body: &[u8]) -> std::io::Result<()> {
-    luxel_export::write_atomic_parts(path, &[&header(format, key, body), body]).map_err(|error| match error {
+/// The body of a file that is being written.
+pub struct Writer<'a> {
+    file: BufWriter<&'a mut File>,
+    hasher: blake3::Hasher,
+    length: u64,
+    limit: u64,
+}
+
+impl Write for Writer<'_> {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        let written = self.file.write(bytes)?;
+        self.hasher.update(&bytes[..written]);
+        self.length += written as u64;
+        if self.length > self.limit {
+            return Err(io::Error::other(format!("it takes more than the {} bytes that luxel reads", self.limit)));
+        }
+        Ok(written)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.file.flush()
+    }
+}
+
+/// Writes what `fill` makes under `key`, whole or not at all; returns its length [bytes].
+pub fn write(
+    path: &Path,
+    format: Format,
+    key: &Key,
+    fill: impl FnOnce(&mut Writer) -> io::Result<()>,
+) -> io::Result<u64> {
+    let mut length = 0;
+    let filled = |file: &mut File| {
+        file.write_all(&[0; HEADER])?;
+        let file_writer = BufWriter::with_capacity(BUFFER, &mut *file);
+        let mut body = Writer { file: file_writer, hasher: blake3::Hasher::new(), length: 0, limit: format.limit };
+        fill(&mut body)?;
+        body.flush()?;
+        length = body.length;
+        let checksum = body.hasher.finalize();
+        drop(body);
+        file.rewind()?;
+        file.write_all(&header(format, key, length, &checksum))
+    };
+    luxel_export::write_atomic_with(path, filled).map_err(|error| match error {
         ExportError::Io { cause, .. } => cause,
-        error => std::io::Error::other(error),
-    })
+        error => io::Error::other(error),
+    })?;
+    Ok(length)
 }
 
-/// The body stored under `key`, verified.
-pub fn read(path: &Path, format: Format, key: &Key) -> Result<Vec<u8>, Miss> {
+/// The body of a file that is being read. Its bytes are not verified yet.
+pub struct Reader {
+    file: BufReader<File>,
+    hasher: blake3::Hasher,
+    left: u64,
+}
+
+impl Reader {
+    /// Bytes that follow.
+    pub fn left(&self) -> u64 {
+        self.left
+    }
+}
+
+impl Read for Reader {
+    fn read(&mut self, bytes: &mut [u8]) -> io::Result<usize> {
+        let most = bytes.len().min(usize::try_from(self.left).unwrap_or(usize::MAX));
+        let count = self.file.read(&mut bytes[..most])?;
+        self.hasher.update(&bytes[..count]);
+        self.left -= count as u64;
+        Ok(count)
+    }
+}
+
+/// What `decode` makes of the body stored under `key`, verified. A decoder reads the body to its end.
+pub fn read<T>(
+    path: &Path,
+    format: Format,
+    key: &Key,
+    decode: impl FnOnce(&mut Reader) -> Result<T, String>,
+) -> Result<T, Miss> {
     let mut file = File::open(path).map_err(|e| match e.kind() {
-        std::io::ErrorKind::NotFound => Miss::Absent,
+        io::ErrorKind::NotFound => Miss::Absent,
         _ => Miss::Unreadable(e),
     })?;
+    let (stated, checksum) = open(&mut file, format, key)?;
+    let file = BufReader::with_capacity(BUFFER, file);
+    let mut body = Reader { file, hasher: blake3::Hasher::new(), left: stated };
+    let decoded = decode(&mut body);
+    // Damage explains a content that does not decode, so the rest is hashed whatever became of it.
+    let unread = io::copy(&mut body, &mut io::sink()).map_err(Miss::Unreadable)?;
+    if body.left > 0 {
+        return Err(Miss::Torn { stated, found: stated - body.left });
+    }
+    if *body.hasher.finalize().as_bytes() != checksum {
+        return Err(Miss::Damaged);
+    }
+    let decoded = decoded.map_err(Miss::Content)?;
+    if unread > 0 {
+        return Err(Miss::Content(format!("it holds {unread} bytes more than its content")));
+    }
+    Ok(decoded)
+}
+
+/// Checks the header; returns the length of the body and its checksum.
+fn open(file: &mut File, format: Format, key: &Key) -> Result<(u64, [u8; 32]), Miss> {
     let size = file.metadata().map_err(Miss::Unreadable)?.len();
-    let found = size.saturating_sub(HEADER as u64);
-    let mut head = [0u8; HEADER];
     if size < HEADER as u64 {
         return Err(Miss::Torn { stated: HEADER as u64, found: size });
     }
-    file.read_exact(&mut head).map_err(Miss::Unreadable)?;
-    let (magic, rest) = head.split_at(8);
-    let (version, rest) = rest.split_at(4);
-    let (stored_key, rest) = rest.split_at(32);
-    let (length, checksum) = rest.split_at(8);
-    let version = version.iter().rev().fold(0, |n, b| n << 8 | u32::from(*b));
-    let stated = length.iter().rev().fold(0, |n, b| n << 8 | u64::from(*b));
+    let (mut magic, mut version, mut stored_key) = ([0; 8], [0; 4], [0; 32]);
+    let (mut length, mut checksum) = ([0; 8], [0; 32]);
+    for part in [&mut magic[..], &mut version, &mut stored_key, &mut length, &mut checksum] {
+        file.read_exact(part).map_err(Miss::Unreadable)?;
+    }
+    let (version, stated, found) = (u32::from_le_bytes(version), u64::from_le_bytes(length), size - HEADER as u64);
     if magic != format.magic {
         return Err(Miss::Foreign);
     }
     if version != format.version {
         return Err(Miss::Outdated { found: version, expected: format.version });
     }
-    if stored_key != key {
+    if stored_key != *key {
         return Err(Miss::OtherKey);
     }
     if stated != found {
@@ -100,21 +200,16 @@ pub fn read(path: &Path, format: Format, key: &Key) -> Result<Vec<u8>, Miss> {
     if stated > format.limit {
         return Err(Miss::TooLarge(stated));
     }
-    let mut body = Vec::new();
-    file.take(stated).read_to_end(&mut body).map_err(Miss::Unreadable)?;
-    if blake3::hash(&body).as_bytes() != checksum {
-        return Err(Miss::Damaged);
-    }
-    Ok(body)
+    Ok((stated, checksum))
 }
 
-fn header(format: Format, key: &Key, body: &[u8]) -> Vec<u8> {
+fn header(format: Format, key: &Key, length: u64, checksum: &blake3::Hash) -> Vec<u8> {
     let mut head = Vec::with_capacity(HEADER);
     head.extend(format.magic);
     head.extend(format.version.to_le_bytes());
     head.extend(key);
-    head.extend((body.len() as u64).to_le_bytes());
-    head.extend(blake3::hash(body).as_bytes());
+    head.extend(length.to_le_bytes());
+    head.extend(checksum.as_bytes());
     head
 }
 
@@ -125,10 +220,22 @@ mod tests {
     const KEY: Key = [7; 32];
     const BODY: &[u8] = b"irradiance at every surfel";
 
+    fn put(path: &Path, format: Format, body: &[u8]) -> io::Result<u64> {
+        write(path, format, &KEY, |out| out.write_all(body))
+    }
+
+    fn get(path: &Path, format: Format, key: &Key) -> Result<Vec<u8>, Miss> {
+        read(path, format, key, |body| {
+            let mut bytes = Vec::new();
+            body.read_to_end(&mut bytes).map_err(|e| e.to_string())?;
+            Ok(bytes)
+        })
+    }
+
     fn stored() -> (tempfile::TempDir, std::path::PathBuf, Vec<u8>) {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("deeper/cache");
-        write(&path, OCTREE, &KEY, BODY).unwrap();
+        put(&path, OCTREE, BODY).unwrap();
         let bytes = std::fs::read(&path).unwrap();
         (folder, path, bytes)
     }
@@ -136,10 +243,14 @@ mod tests {
     #[test]
     fn what_was_written_is_read() {
         let (_folder, path, bytes) = stored();
-        assert_eq!(read(&path, OCTREE, &KEY).unwrap(), BODY);
+        assert_eq!(get(&path, OCTREE, &KEY).unwrap(), BODY);
         assert_eq!(bytes.len(), HEADER + BODY.len());
-        write(&path, OCTREE, &KEY, b"").unwrap();
-        assert_eq!(read(&path, OCTREE, &KEY).unwrap(), b"");
+        assert_eq!(put(&path, OCTREE, b"").unwrap(), 0);
+        assert_eq!(get(&path, OCTREE, &KEY).unwrap(), b"");
+        // In pieces of any size, beyond every buffer.
+        let long: Vec<u8> = (0..5 * BUFFER + 3).map(|i| (i % 251) as u8).collect();
+        write(&path, OCTREE, &KEY, |out| long.chunks(777).try_for_each(|part| out.write_all(part))).unwrap();
+        assert_eq!(get(&path, OCTREE, &KEY).unwrap(), long);
     }
 
     #[cfg(unix)]
@@ -161,7 +272,7 @@ mod tests {
                 let mut broken = bytes.clone();
                 broken[at] ^= flip;
                 std::fs::write(&path, &broken).unwrap();
-                let miss = read(&path, OCTREE, &KEY).unwrap_err();
+                let miss = get(&path, OCTREE, &KEY).unwrap_err();
                 let fits = match at {
                     0..8 => matches!(miss, Miss::Foreign),
                     8..12 => matches!(miss, Miss::Outdated { .. }),
@@ -179,19 +290,56 @@ mod tests {
         let (_folder, path, bytes) = stored();
         for length in 0..bytes.len() {
             std::fs::write(&path, &bytes[..length]).unwrap();
-            assert!(matches!(read(&path, OCTREE, &KEY), Err(Miss::Torn { .. })), "cut to {length}");
+            assert!(matches!(get(&path, OCTREE, &KEY), Err(Miss::Torn { .. })), "cut to {length}");
         }
         std::fs::write(&path, [&bytes[..], b"x"].concat()).unwrap();
-        assert!(matches!(read(&path, OCTREE, &KEY), Err(Miss::Torn { .. })));
+        assert!(matches!(get(&path, OCTREE, &KEY), Err(Miss::Torn { .. })));
     }
 
     #[test]
     fn an_absent_a_foreign_and_an_oversized_file_are_told_apart() {
         let (folder, path, _) = stored();
-        assert!(matches!(read(&folder.path().join("none"), OCTREE, &KEY), Err(Miss::Absent)));
-        assert!(matches!(read(&path, OCTREE, &[8; 32]), Err(Miss::OtherKey)));
+        assert!(matches!(get(&folder.path().join("none"), OCTREE, &KEY), Err(Miss::Absent)));
+        assert!(matches!(get(&path, OCTREE, &[8; 32]), Err(Miss::OtherKey)));
         let small = Format { limit: 3, ..OCTREE };
-        assert!(matches!(read(&path, small, &KEY), Err(Miss::TooLarge(_))));
-        assert!(read(folder.path(), OCTREE, &KEY).is_err());
+        assert!(matches!(get(&path, small, &KEY), Err(Miss::TooLarge(_))));
+        assert!(get(folder.path(), OCTREE, &KEY).is_err());
+    }
+
+    #[test]
+    fn what_does_not_decode_is_told_apart_from_what_is_damaged() {
+        let (_folder, path, mut bytes) = stored();
+        let refuse = |body: &mut Reader| -> Result<(), String> {
+            assert_eq!(body.left(), BODY.len() as u64);
+            body.read_exact(&mut [0; 3]).unwrap();
+            assert_eq!(body.left(), BODY.len() as u64 - 3);
+            Err("no octree".into())
+        };
+        assert!(matches!(read(&path, OCTREE, &KEY, refuse), Err(Miss::Content(why)) if why == "no octree"));
+        let satisfied = |body: &mut Reader| body.read_exact(&mut [0; 3]).map_err(|e| e.to_string());
+        let rest = BODY.len() - 3;
+        assert!(
+            matches!(read(&path, OCTREE, &KEY, satisfied), Err(Miss::Content(why)) if why.contains(&rest.to_string()))
+        );
+        // A decoder that believed what it saw is not believed.
+        if let Some(last) = bytes.last_mut() {
+            *last ^= 1;
+        }
+        std::fs::write(&path, &bytes).unwrap();
+        assert!(matches!(read(&path, OCTREE, &KEY, refuse), Err(Miss::Damaged)));
+        assert!(matches!(read(&path, OCTREE, &KEY, satisfied), Err(Miss::Damaged)));
+    }
+
+    #[test]
+    fn what_would_not_be_read_is_not_written_and_an_error_leaves_the_old_file() {
+        let (_folder, path, bytes) = stored();
+        let small = Format { limit: BODY.len() as u64 - 1, ..OCTREE };
+        assert!(put(&path, small, BODY).unwrap_err().to_string().contains("more than"));
+        let failed = write(&path, OCTREE, &KEY, |out| {
+            out.write_all(BODY)?;
+            Err(io::Error::other("out of luck"))
+        });
+        assert!(failed.unwrap_err().to_string().contains("out of luck"));
+        assert_eq!(std::fs::read(&path).unwrap(), bytes);
     }
 }

@@ -14,12 +14,13 @@ use luxel::settings::{
     Preset, Resolved, Settings,
     value::{Texels, Threads, Voxels},
 };
-use luxel_export::OutputSet;
-use luxel_scene::{Scene, Silent, build::Builder};
+use luxel_export::{OutputSet, report::StageState};
+use luxel_scene::{Progress, Scene, Silent, build::Builder};
 use luxel_transport::{
     Rgb,
+    gather::{Field, Lightcuts, lightcuts},
     geometry::Geometry,
-    octree::Octree,
+    octree::{self, Octree},
     rays::Rays,
     solve::{SolveReport, SolveSettings, solve},
     surfel::{AreaRule, Resolution, Solution, Surfels, VoxelSettings},
@@ -36,6 +37,47 @@ fn alone() -> MutexGuard<'static, ()> {
 
 fn on_two_threads<T: Send>(work: impl FnOnce() -> T + Send) -> T {
     rayon::ThreadPoolBuilder::new().num_threads(2).build().expect("a pool").install(work)
+}
+
+/// A stage, and the most bytes in use during it.
+type Lap = (&'static str, usize);
+
+/// The stages of a bake.
+#[derive(Default)]
+struct Laps(Mutex<Vec<Lap>>);
+
+impl Laps {
+    /// Ends the stage that runs.
+    fn end(&self) {
+        let peak = heap::lap().1;
+        if let Some(last) = self.0.lock().expect("laps").last_mut() {
+            last.1 = peak;
+        }
+    }
+}
+
+impl Progress for Laps {
+    fn begin(&self, stage: &'static str, _: u64) {
+        self.end();
+        self.0.lock().expect("laps").push((stage, 0));
+    }
+    fn advance(&self, _: u64) {}
+}
+
+/// Runs a bake that reports to `laps`.
+fn with_laps<T>(laps: &Laps, work: impl FnOnce() -> T) -> T {
+    heap::lap();
+    let result = work();
+    laps.end();
+    result
+}
+
+/// By stage, how many bytes more the second of two bakes holds for each thing that it has more.
+fn costs(small: (f64, &Laps), large: (f64, &Laps)) -> Vec<(&'static str, f64)> {
+    let [few, many] = [small.1, large.1].map(|laps| laps.0.lock().expect("laps").clone());
+    assert!(few.iter().map(|lap| lap.0).eq(many.iter().map(|lap| lap.0)), "the same stages");
+    let each = |(few, many): (&Lap, &Lap)| (few.0, (many.1 as f64 - few.1 as f64) / (large.0 - small.0));
+    few.iter().zip(&many).map(each).collect()
 }
 
 fn voxels(geometry: &Geometry, n: u32) -> Surfels {
@@ -73,12 +115,43 @@ fn a_surfel_and_its_light() {
         println!("{count} surfels: {voxelized:.1} bytes each when voxelized, {solved:.1} when solved");
         assert!(solved < 150.0, "{solved}");
         let (octree, made) = peak_bytes(|| Octree::new(&surfels, &solution));
-        let (bytes, written) = peak_bytes(|| octree.to_bytes().expect("bytes"));
-        let (_, read) = peak_bytes(|| Octree::from_bytes(&bytes, bytes.len()).expect("a tree"));
-        let [made, written, read] = [made, written, read].map(each);
-        println!("octree: {made:.1} bytes each beside the surfels, {written:.1} on disk");
-        assert!(made < 160.0 && written < 105.0 && read < 105.0, "{made} {written} {read}");
+        let (length, written) = peak_bytes(|| {
+            let mut counted = Counted(0);
+            octree.write(&mut counted).expect("bytes");
+            counted.0
+        });
+        let mut bytes = Vec::with_capacity(length);
+        octree.write(&mut bytes).expect("bytes");
+        let (_, read) = peak_bytes(|| octree::read(&mut &bytes[..], bytes.len() as u64).expect("a tree"));
+        let [made, written, read, length] = [made, written, read, length].map(each);
+        println!(
+            "octree: {made:.1} bytes each beside the surfels, {written:.1} to write, {read:.1} to read, {length:.1} on disk"
+        );
+        assert!(made < 35.0 && written < 5.0 && read < 100.0 && length < 105.0, "{made} {written} {read} {length}");
+        drop((octree, bytes));
+        let rays = Rays::new(&geometry);
+        let (_, cuts) = peak_bytes(|| {
+            let field = Field::new(&rays, &surfels, &solution).expect("a field");
+            Lightcuts::new(&field, lightcuts::Settings::default()).covered()
+        });
+        let cuts = each(cuts);
+        println!("light tree and index: {cuts:.1} bytes each beside surfels and solution");
+        assert!(cuts < 74.0, "{cuts}");
     });
+}
+
+/// Takes bytes and keeps their number.
+struct Counted(usize);
+
+impl std::io::Write for Counted {
+    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+        self.0 += bytes.len();
+        Ok(bytes.len())
+    }
+
+    fn flush(&mut self) -> std::io::Result<()> {
+        Ok(())
+    }
 }
 
 /// A room so white that plain bounces would take hundreds.
@@ -108,19 +181,23 @@ fn quick(size: u32) -> Settings {
     Settings { size: Texels(size), voxels: Voxels::Side(32), threads: Threads(2), ..Settings::preset(Preset::Draft) }
 }
 
-/// What one more texel costs, from the size of the lightmap alone.
+/// What one more texel costs, from the size of the lightmap alone: while there is light to find, and with the images
+/// that it ends in.
 #[test]
 fn a_texel_of_a_whole_bake() {
     let _alone = alone();
     let scene = luxel_assets::cornell();
-    let bytes = |size: u32| {
-        let (lit, bytes) = peak_bytes(|| support::bake(&scene, &quick(size)));
-        (lit.atlas.texels.len() as f64, bytes as f64)
+    let bake = |size: u32| {
+        let laps = Laps::default();
+        let lit = with_laps(&laps, || luxel::bake_scene(&scene, &quick(size), &laps).expect("a bake"));
+        (lit.atlas.texels.len() as f64, laps)
     };
-    let (small, large) = (bytes(256), bytes(512));
-    let each = (large.1 - small.1) / (large.0 - small.0);
-    println!("{each:.1} bytes a texel");
-    assert!(each < 64.0, "{each}");
+    let (small, large) = (bake(512), bake(1024));
+    let costs = costs((small.0, &small.1), (large.0, &large.1));
+    let most = |of: fn(&str) -> bool| costs.iter().filter(|c| of(c.0)).map(|c| c.1).fold(0.0, f64::max);
+    let (light, images) = (most(|stage| stage != "finish"), most(|stage| stage == "finish"));
+    println!("{light:.1} bytes a texel, {images:.1} with its images");
+    assert!(light < 64.0 && images < 78.0, "{light} {images}");
 }
 
 /// What rays need beside the scene, the making of their trees included.
@@ -173,4 +250,39 @@ fn a_whole_bake_and_its_plan() {
     let (found, stated) = (large.2, large.3.total() as f64);
     println!("{:.1} MiB where the plan estimates {:.1}", found / 1048576.0, stated / 1048576.0);
     assert!(found < stated && stated < 1.25 * found, "{found} and {stated}");
+}
+
+/// What one more surfel costs in each stage from file to files, made anew or read back: the voxels alone grow.
+#[test]
+fn a_surfel_of_a_whole_bake() {
+    let _alone = alone();
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("s.glb");
+    std::fs::write(&path, luxel_assets::glb::write(&luxel_assets::cornell()).expect("a scene")).expect("a file");
+    let bake = |side: u32, state: StageState| {
+        let settings = Settings {
+            size: Texels(64),
+            voxels: Voxels::Side(side),
+            threads: Threads(2),
+            ..Settings::preset(Preset::Medium)
+        };
+        let request = Request {
+            scene: path.clone(),
+            outputs: OutputSet::new(&path, Some(&folder.path().join(side.to_string())), None).expect("a place"),
+            settings: Resolved { settings, ..Resolved::default() },
+            worker: None,
+        };
+        let laps = Laps::default();
+        let baked = with_laps(&laps, || luxel::bake(&request, &laps).expect("a bake"));
+        let cache = baked.report.stages.iter().find(|s| s.name == "cache").expect("the cache");
+        assert_eq!(cache.state, state);
+        (baked.report.counters["surfels"] as f64, laps)
+    };
+    let [fresh, again] = [StageState::Ran, StageState::Reused].map(|state| {
+        let (few, many) = (bake(80, state), bake(160, state));
+        let costs = costs((few.0, &few.1), (many.0, &many.1));
+        costs.iter().for_each(|(stage, bytes)| println!("{state:?}: {bytes:.1} bytes a surfel in {stage}"));
+        costs.into_iter().max_by(|a, b| a.1.total_cmp(&b.1)).expect("a stage")
+    });
+    assert!(fresh.1 < 150.0 && again.1 < 150.0, "{fresh:?} and {again:?}");
 }

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use luxel_atlas::AtlasSettings;
 use luxel_export::Original;
-use luxel_scene::{ImportOptions, Limits, Progress, Scene, Sky, SkyImage, import};
+use luxel_scene::{ImportOptions, InputFile, Limits, Progress, Scene, Sky, SkyImage, import};
 
 use crate::Error;
 use crate::plan::{Plan, Stage};
@@ -70,6 +70,13 @@ fn sky(scene: &mut Scene, settings: &Settings) -> Result<Sky, Error> {
             Sky::Image(image)
         }
     })
+}
+
+/// Every file that a bake read, each once.
+pub fn all(scene: &Scene, original: &Original) -> Vec<InputFile> {
+    let mut inputs = scene.inputs.clone();
+    inputs.extend(original.inputs().iter().filter(|i| !scene.inputs.contains(i)).cloned());
+    inputs
 }
 
 pub fn atlas_settings(settings: &Settings) -> AtlasSettings {

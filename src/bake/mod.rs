@@ -17,7 +17,7 @@ use std::time::Instant;
 
 use luxel_atlas::{Atlas, AtlasReport, InProcess, Unwrapper, Worker};
 use luxel_export::{BoundMap, Lightmap, OutputSet, Report, report::Warning};
-use luxel_scene::{Progress, Scene};
+use luxel_scene::{InputFile, Progress, Scene};
 use luxel_transport::{geometry::Geometry, rays::Rays};
 
 use crate::Error;
@@ -45,6 +45,9 @@ pub struct Baked {
     pub report: Report,
     /// The files that were written, the report last.
     pub files: Vec<PathBuf>,
+    /// Every file that was read, with the digest of its bytes: by the import, and by the export, which embeds images
+    /// that the light does not depend on. Each once.
+    pub inputs: Vec<InputFile>,
     /// Wall-clock time.
     pub seconds: f64,
     pub lit: Lit,
@@ -101,7 +104,8 @@ fn run(request: &Request, progress: &dyn Progress) -> Result<Baked, Error> {
     // From here on the old files are replaced.
     progress.check()?;
     let files = export::write(&request.outputs, &lit, picture.as_deref(), &glb, &key, &mut report)?;
-    Ok(Baked { report, files, seconds: start.elapsed().as_secs_f64(), lit })
+    let inputs = input::all(&scene, &original);
+    Ok(Baked { report, files, inputs, seconds: start.elapsed().as_secs_f64(), lit })
 }
 
 /// Bakes a scene in memory: atlas, light at texels, finished images; no file is read or written.

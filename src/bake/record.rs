@@ -4,7 +4,10 @@
 
 use std::collections::BTreeMap;
 
-use bincode::serde::{decode_from_slice, encode_to_vec};
+use std::io::{self, Read, Write};
+
+use bincode::error::EncodeError;
+use bincode::serde::{decode_from_std_read, encode_into_std_write};
 use luxel_export::report::EnergyLedger;
 use luxel_transport::solve::SolveReport;
 use serde::{Deserialize, Serialize};
@@ -55,15 +58,17 @@ impl Record {
         }
     }
 
-    pub fn to_bytes(&self) -> Result<Vec<u8>, String> {
-        encode_to_vec(self, bincode::config::standard()).map_err(|e| e.to_string())
+    pub fn write(&self, out: &mut impl Write) -> io::Result<()> {
+        match encode_into_std_write(self, out, bincode::config::standard()) {
+            Ok(_) => Ok(()),
+            Err(EncodeError::Io { inner, .. }) => Err(inner),
+            Err(error) => Err(io::Error::other(error)),
+        }
     }
 
-    /// Reads a record from the front of `bytes`; returns it with the bytes behind it.
-    pub fn split(bytes: &[u8]) -> Result<(Self, &[u8]), String> {
-        let limited = bincode::config::standard().with_limit::<LARGEST>();
-        let (record, length): (Self, usize) = decode_from_slice(bytes, limited).map_err(|e| e.to_string())?;
-        Ok((record, bytes.get(length..).unwrap_or_default()))
+    /// Reads a record, and nothing of what follows it.
+    pub fn read(input: &mut impl Read) -> Result<Self, String> {
+        decode_from_std_read(input, bincode::config::standard().with_limit::<LARGEST>()).map_err(|e| e.to_string())
     }
 }
 
@@ -79,18 +84,23 @@ mod tests {
 
     #[test]
     fn a_record_comes_back_with_what_follows_it() {
-        let mut bytes = record().to_bytes().unwrap();
+        let mut bytes = Vec::new();
+        record().write(&mut bytes).unwrap();
         let length = bytes.len();
         bytes.extend(b"octree");
-        assert_eq!(Record::split(&bytes).unwrap(), (record(), &b"octree"[..]));
+        let mut rest = &bytes[..];
+        assert_eq!(Record::read(&mut rest).unwrap(), record());
+        assert_eq!(rest, b"octree");
         for n in 0..length {
-            assert!(Record::split(&bytes[..n]).is_err(), "{n}");
+            assert!(Record::read(&mut &bytes[..n]).is_err(), "{n}");
         }
     }
 
     #[test]
     fn a_claimed_size_is_not_believed() {
         // The first number is the count of stages.
-        assert!(Record::split(&[253, 255, 255, 255, 255, 255, 255, 255, 0, 1, 2, 3]).is_err());
+        assert!(Record::read(&mut &[253, 255, 255, 255, 255, 255, 255, 255, 0, 1, 2, 3][..]).is_err());
+        // One stage, whose name is said to be long.
+        assert!(Record::read(&mut &[1, 252, 255, 255, 255, 127, b'x'][..]).is_err());
     }
 }

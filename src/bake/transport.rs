@@ -10,7 +10,7 @@ use luxel_transport::{
     gather::{Field, refresh},
     geometry::Geometry,
     lights::Emitters,
-    octree::Octree,
+    octree::{self, Octree},
     rays::Rays,
     shoot::{self, PhotonSettings},
     solve::{SolveSettings, is_closed, solve},
@@ -124,26 +124,30 @@ impl Store {
     /// The stored light, if it is this bake's; else a warning, if that is cause for one.
     fn read(&self, triangles: usize) -> Result<(Surfels, Solution, Record), Option<String>> {
         let foreign = |why: String| Some(format!("{}: the stored light is made anew: {why}", self.path.display()));
-        let body = store::read(&self.path, store::OCTREE, &self.key).map_err(|miss| match miss {
+        let decoded = store::read(&self.path, store::OCTREE, &self.key, |body| {
+            let record = Record::read(body)?;
+            let length = body.left();
+            let (surfels, solution) = octree::read(body, length).map_err(|e| e.to_string())?;
+            Ok((surfels, solution, record))
+        });
+        let stored = decoded.map_err(|miss| match miss {
             // An ordinary change of input or settings.
             Miss::Absent | Miss::OtherKey => None,
             miss => foreign(miss.to_string()),
         })?;
-        let (record, body) = Record::split(&body).map_err(foreign)?;
-        let octree = Octree::from_bytes(body, body.len()).map_err(|e| foreign(e.to_string()))?;
-        if !octree.fits(triangles) {
+        // A stored tree says nothing about the scene it meets.
+        if !stored.0.list.iter().all(|s| (s.triangle as usize) < triangles) {
             return Err(foreign("it belongs to another scene".into()));
         }
-        let (surfels, solution) = octree.unpack();
-        Ok((surfels, solution, record))
+        Ok(stored)
     }
 
     fn write(&self, octree: &Octree, record: &Record) -> Result<u64, Error> {
-        let failed = |source| Error::Store { path: self.path.clone(), source };
-        let mut body = record.to_bytes().map_err(|e| failed(std::io::Error::other(e)))?;
-        body.extend(octree.to_bytes()?);
-        store::write(&self.path, store::OCTREE, &self.key, &body).map_err(failed)?;
-        Ok(body.len() as u64)
+        let written = store::write(&self.path, store::OCTREE, &self.key, |out| {
+            record.write(out)?;
+            octree.write(out)
+        });
+        written.map_err(|source| Error::Store { path: self.path.clone(), source })
     }
 }
 
@@ -341,7 +345,9 @@ mod tests {
         let plan = Plan::new(&scene, &settings);
         let light = run(&rays, &settings, &plan, None, &mut Journal::new(&Silent)).unwrap();
         let (surfels, solution) = light.surfels.unwrap();
-        let hash = blake3::hash(&Octree::new(&surfels, &solution).to_bytes().unwrap()).to_hex();
+        let mut hasher = blake3::Hasher::new();
+        Octree::new(&surfels, &solution).write(&mut hasher).unwrap();
+        let hash = hasher.finalize().to_hex();
         let versions = STORED.map(|stage| format!("{} {}", stage.name(), stage.version())).join(", ");
         let known = (
             "surfels 2, shoot 2, propagate 3, refresh 1",

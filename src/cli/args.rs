@@ -1,6 +1,7 @@
 //! What can be written on the command line. The settings' flags and their help come from [`FIELDS`].
 
 use std::path::PathBuf;
+use std::time::Duration;
 
 use clap::{Arg, ArgMatches, Args, Command, FromArgMatches, Parser, Subcommand, error::ErrorKind};
 use luxel::settings::{FIELDS, Layer, Origin, Settings};
@@ -15,8 +16,44 @@ Examples:
   luxel bake level.glb --sky noon.hdr           with an image as the sky
   luxel bake levels/ --out lit/                 every scene below a folder
   luxel plan level.glb                          what would run, and why
+  luxel watch levels/                           bakes, and again whatever is saved
 
 Exit codes: 0 done, 1 some scenes failed, 2 wrong usage, 130 interrupted.";
+
+const WATCHING: &str = "\
+Bakes every scene, and again whenever a file changes that its last bake read: the .gltf or .glb, buffers, images, the
+sky, luxel.toml. A bake that is overtaken by a change stops and starts anew; a file that is saved without a change bakes
+nothing; a scene that cannot be baked says why and keeps its last lightmap. New scenes in watched folders are baked too.
+
+Examples:
+  luxel watch level.glb --preset draft          lightmap anew after every save
+  luxel watch levels/ --out lit/                every scene below a folder
+  luxel watch //server/levels --poll 5          looks every 5 seconds: for drives that tell of no changes
+  luxel watch level.glb --json                  for programs: one event per line
+
+Network drives and folders that the system cannot watch are looked at every 2 seconds without being asked for.
+
+Events of --json, one object per line, with their fields:
+  watching   paths, scenes           once, at the start
+  polling    folder, reason, seconds nobody tells of changes there, so it is looked at
+  unwatched  path, reason            it cannot be watched or searched
+  found      scene                   a new scene
+  changed    scene, files            other content than before; no files where only settings changed
+  unchanged  scene, files            touched, with the content of before
+  removed    scene                   its outputs stay
+  baking     scene                   then stages as of luxel bake --json: started, progress, finished
+  overtaken  scene                   stopped, because its files changed; another bake follows
+  baked      scene, seconds, outputs, quality, warnings
+  failed     scene, error, causes    its last good outputs stay
+  current    scene                   broken before, now again as when it was baked
+  idle       scenes, failed          everything is as current as it can be
+  stopped    scenes, failed          the last event
+
+Ctrl-C ends it, after the running bake has stopped; a second one ends it at once.
+Exit codes: 0 ended, 1 ended with scenes that could not be baked, 2 wrong usage, 130 ended by a second Ctrl-C.";
+
+/// Shortest and longest time between looks [s].
+const POLL: std::ops::RangeInclusive<f64> = 0.05..=86_400.0;
 
 #[derive(Debug, Parser)]
 #[command(name = "luxel", version, about = ABOUT, after_help = EXAMPLES, arg_required_else_help = true)]
@@ -30,6 +67,9 @@ pub enum Task {
     /// Bake scenes: irradiance as .exr, the scene with its lightmap as .glb, a picture, and a report.
     #[command(after_help = EXAMPLES)]
     Bake(Bake),
+    /// Bake scenes, and again whenever a file changes that they are made from.
+    #[command(after_help = WATCHING)]
+    Watch(Watch),
     /// Say which stages a bake would run, reuse or leave out, why, and how much memory it would take.
     Plan(Bake),
     /// Print every setting with its effect, unit and default, in the form of a luxel.toml.
@@ -46,6 +86,21 @@ pub struct Bake {
     /// Folder for the outputs; subfolders of a scanned folder are mirrored [default: baked/ beside each scene]
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
+}
+
+#[derive(Debug, Args)]
+pub struct Watch {
+    #[command(flatten)]
+    pub bake: Bake,
+    /// Look for changes every so many seconds instead of being told: for network drives
+    #[arg(long, value_name = "SECONDS", value_parser = interval)]
+    pub poll: Option<Duration>,
+}
+
+fn interval(text: &str) -> Result<Duration, String> {
+    let seconds = text.parse().ok().filter(|s| POLL.contains(s));
+    let expected = || format!("expected a number of seconds from {} to {}", POLL.start(), POLL.end());
+    seconds.map(Duration::from_secs_f64).ok_or_else(expected)
 }
 
 #[derive(Debug, Args)]
@@ -144,6 +199,33 @@ mod tests {
         assert_eq!(args.common.scenes.len(), 1, "a switch takes no scene for its value");
         let settings = resolve(&[bake("luxel bake a --bound=false").unwrap().common.settings.0]).unwrap().settings;
         assert!(!settings.bound);
+    }
+
+    #[test]
+    fn watch_takes_what_bake_takes_and_an_interval() {
+        let watch = |line: &str| match Cli::try_parse_from(line.split(' '))?.task {
+            Task::Watch(watch) => Ok::<_, clap::Error>(watch),
+            other => panic!("{other:?}"),
+        };
+        let args = watch("luxel watch a.glb levels --poll 0.5 --size 64 --out lit").unwrap();
+        assert_eq!(args.poll, Some(Duration::from_millis(500)));
+        assert_eq!((args.bake.common.scenes.len(), args.bake.out), (2, Some("lit".into())));
+        assert_eq!(watch("luxel watch a.glb").unwrap().poll, None);
+        for wrong in ["0", "-1", "nan", "inf", "1e9", "often"] {
+            let message = watch(&format!("luxel watch a.glb --poll={wrong}")).unwrap_err().to_string();
+            assert!(message.contains("--poll") && message.contains("from 0.05 to 86400"), "{message}");
+        }
+    }
+
+    #[test]
+    fn every_event_of_the_help_is_an_event_of_the_library() {
+        let schema = include_str!("../watch/event.rs");
+        let lines = WATCHING.lines().skip_while(|l| !l.starts_with("Events of --json")).skip(1);
+        let names: Vec<&str> = lines.take_while(|l| l.starts_with("  ")).filter_map(|l| l.split(' ').nth(2)).collect();
+        assert_eq!(names.len(), schema.lines().filter(|l| l.starts_with("//! | `")).count() - 1);
+        for name in names {
+            assert!(schema.contains(&format!("//! | `{name}` |")), "{name}");
+        }
     }
 
     #[test]

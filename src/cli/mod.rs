@@ -3,6 +3,7 @@
 mod args;
 mod print;
 mod progress;
+mod watch;
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -13,12 +14,13 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use anyhow::Context;
 use clap::Parser;
 use luxel::discover::{self, Found, Search};
-use luxel::settings::{Layer, Resolved, SettingsError, extras, resolve};
+use luxel::settings::{Layer, for_scene};
+use luxel::watch::Finished;
 use luxel::{Error, Request};
 use luxel_export::{ExportError, OutputSet};
 use serde_json::json;
 
-use args::{Bake, Cli, Common, Task};
+use args::{Bake, Cli, Common, Task, Watch};
 use progress::{Reporter, Style, event, say};
 
 const DONE: u8 = 0;
@@ -38,10 +40,11 @@ pub fn main() -> ExitCode {
             error.exit()
         }
     };
-    let json = matches!(&cli.task, Task::Bake(args) | Task::Plan(args) if args.common.json);
+    let json = matches!(&cli.task, Task::Bake(args) | Task::Plan(args) | Task::Watch(Watch { bake: args, .. }) if args.common.json);
     let code = match cli.task {
         Task::Bake(args) => bake(&args),
         Task::Plan(args) => plan(&args),
+        Task::Watch(args) => watch::watch(&args),
         Task::Defaults => {
             progress::out(&luxel::settings::documented_defaults());
             Ok(DONE)
@@ -81,40 +84,34 @@ impl Job {
 }
 
 fn prepare(common: &Common, out: Option<&Path>) -> anyhow::Result<Job> {
-    let config = common.config.as_deref().map(Layer::from_file).transpose()?;
-    // Said once, and not of every scene.
-    for image in config.iter().chain([&common.settings.0]).filter_map(Layer::sky_image) {
-        anyhow::ensure!(image.is_file(), "{}: there is no such sky image; check --sky and --config", image.display());
-    }
+    let config = config(common)?;
     let Search { found, missing } = discover::find(&common.scenes, out)?;
     let missing = missing.into_iter().map(|(path, error)| (path, error.into())).collect();
     let cancelled = Arc::new(AtomicBool::new(false));
     let flag = cancelled.clone();
-    ctrlc::set_handler(move || {
-        // The second time is meant seriously.
-        if flag.swap(true, Ordering::Relaxed) {
-            std::process::exit(i32::from(INTERRUPTED));
-        }
-    })
-    .context("cannot listen for Ctrl-C")?;
+    on_interrupt(move || flag.store(true, Ordering::Relaxed))?;
     Ok(Job { found, missing, config, style: Style::choose(common.json, common.quiet), cancelled })
 }
 
-/// The settings of one scene: its folder's or the named file, its extras, the command line.
-fn settings(scene: &Path, config: Option<&Layer>, flags: &Layer) -> Result<Resolved, SettingsError> {
-    let mut layers = Vec::new();
-    match config {
-        Some(layer) => layers.push(layer.clone()),
-        None => {
-            let beside = scene.parent().unwrap_or(Path::new("")).join("luxel.toml");
-            if beside.is_file() {
-                layers.push(Layer::from_file(&beside)?);
-            }
-        }
+/// The layer of `--config`. A sky image that is not there is said once, and not of every scene.
+fn config(common: &Common) -> anyhow::Result<Option<Layer>> {
+    let config = common.config.as_deref().map(Layer::from_file).transpose()?;
+    for image in config.iter().chain([&common.settings.0]).filter_map(Layer::sky_image) {
+        anyhow::ensure!(image.is_file(), "{}: there is no such sky image; check --sky and --config", image.display());
     }
-    layers.extend(extras::read(scene)?);
-    layers.push(flags.clone());
-    resolve(&layers)
+    Ok(config)
+}
+
+/// Does this on the first Ctrl-C or request to end. The second one is meant seriously.
+fn on_interrupt(mut work: impl FnMut() + Send + 'static) -> anyhow::Result<()> {
+    let mut is_second = false;
+    let handler = move || {
+        if std::mem::replace(&mut is_second, true) {
+            std::process::exit(i32::from(INTERRUPTED));
+        }
+        work();
+    };
+    ctrlc::set_handler(handler).context("cannot listen for Ctrl-C")
 }
 
 fn bake(args: &Bake) -> anyhow::Result<u8> {
@@ -126,12 +123,12 @@ fn bake(args: &Bake) -> anyhow::Result<u8> {
         let request = Request {
             scene: found.scene.clone(),
             outputs,
-            settings: settings(&found.scene, task.config.as_ref(), &common.settings.0)?,
+            settings: for_scene(&found.scene, task.config.as_ref(), &common.settings.0)?,
             worker: worker.clone(),
         };
         let baked = luxel::bake(&request, reporter)?;
         reporter.finish();
-        print::baked(task.style, &found.scene, &baked);
+        print::baked(task.style, &found.scene, Finished::from(baked).done);
         Ok(())
     })
 }
@@ -141,7 +138,7 @@ fn plan(args: &Bake) -> anyhow::Result<u8> {
     let task = prepare(common, args.out.as_deref())?;
     let places = places(&task.found, args.out.as_deref())?;
     each(&task, places, |found, outputs, reporter| {
-        let settings = settings(&found.scene, task.config.as_ref(), &common.settings.0)?;
+        let settings = for_scene(&found.scene, task.config.as_ref(), &common.settings.0)?;
         let plan = luxel::plan_file(&found.scene, Some(&outputs), &settings.settings, reporter)?;
         reporter.finish();
         print::plan(task.style, &found.scene, &plan);
@@ -277,9 +274,9 @@ mod tests {
         std::fs::write(&scene, r#"{"asset":{"version":"2.0"},"scenes":[{"extras":{"luxel":{"padding":5}}}]}"#).unwrap();
         std::fs::write(folder.path().join("luxel.toml"), "size = 128\npadding = 3").unwrap();
         let none = Layer::new(Origin::CommandLine);
-        let resolved = settings(&scene, None, &none).unwrap();
+        let resolved = for_scene(&scene, None, &none).unwrap();
         assert_eq!((resolved.settings.size.0, resolved.settings.padding.0), (128, 5));
         let named = Layer::new(Origin::File("other.toml".into()));
-        assert_eq!(settings(&scene, Some(&named), &none).unwrap().settings.size.0, 1024);
+        assert_eq!(for_scene(&scene, Some(&named), &none).unwrap().settings.size.0, 1024);
     }
 }

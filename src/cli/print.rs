@@ -2,8 +2,8 @@
 
 use std::path::Path;
 
-use luxel::Baked;
 use luxel::plan::Plan;
+use luxel::watch::event::{Done, Event};
 use luxel_export::report::Warning;
 use serde_json::json;
 
@@ -15,24 +15,16 @@ pub fn written(path: &Path) -> String {
 }
 
 /// A finished scene: its files, and what a person should know.
-pub fn baked(style: Style, scene: &Path, baked: &Baked) {
-    let report = &baked.report;
+pub fn baked(style: Style, scene: &Path, done: Done) {
     match style {
         Style::Quiet => {}
-        Style::Json => event(&json!({
-            "event": "baked",
-            "scene": written(scene),
-            "seconds": baked.seconds,
-            "outputs": baked.files.iter().map(|file| written(file)).collect::<Vec<_>>(),
-            "quality": report.quality,
-            "warnings": report.warnings,
-        })),
+        Style::Json => event(&Event::Baked { scene: scene.into(), done }.to_json()),
         Style::Lines | Style::Bar => {
-            notes(&report.warnings);
-            for file in &baked.files {
+            notes(&done.warnings);
+            for file in &done.outputs {
                 say(&format!("  wrote {}", file.display()));
             }
-            say(&format!("  done in {}", duration(baked.seconds)));
+            say(&format!("  done in {}", duration(done.seconds)));
         }
     }
 }

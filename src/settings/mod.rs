@@ -9,11 +9,37 @@ pub mod extras;
 pub mod resolve;
 pub mod value;
 
+use std::path::Path;
+
 pub use resolve::{Layer, Origin, Resolved, SettingsError, resolve};
 use value::*;
 pub use value::{
     Area, Closed, DirectionSet, DoubleSided, GatherMode, Gatherer, Only, Preset, Rule, SkySetting, Voxels,
 };
+
+/// Name of the settings file beside a scene.
+pub const FILE_NAME: &str = "luxel.toml";
+
+/// The settings of one scene: those of the named file `config`, or else of [`FILE_NAME`] beside the scene where there is
+/// one; over them the scene's own extras; over them `flags`.
+///
+/// # Errors
+/// What is wrong with a value, and in which of these places it stands.
+pub fn for_scene(scene: &Path, config: Option<&Layer>, flags: &Layer) -> Result<Resolved, SettingsError> {
+    let mut layers = Vec::new();
+    match config {
+        Some(layer) => layers.push(layer.clone()),
+        None => {
+            let beside = scene.with_file_name(FILE_NAME);
+            if beside.is_file() {
+                layers.push(Layer::from_file(&beside)?);
+            }
+        }
+    }
+    layers.extend(extras::read(scene)?);
+    layers.push(flags.clone());
+    resolve(&layers)
+}
 
 /// A setting: its name and how to read, write and explain it.
 #[derive(Debug)]

@@ -45,10 +45,15 @@ unsafe impl GlobalAlloc for Counting {
     }
 }
 
+/// Bytes that are in use now, and the most that were at once since the last lap.
+pub fn lap() -> (usize, usize) {
+    let now = NOW.load(Relaxed);
+    (now, PEAK.swap(now, Relaxed))
+}
+
 /// Runs the work; returns its result and the most bytes that it held at once beyond what was there before.
 pub fn peak_bytes<T>(work: impl FnOnce() -> T) -> (T, usize) {
-    let before = NOW.load(Relaxed);
-    PEAK.store(before, Relaxed);
+    let (before, _) = lap();
     let result = work();
-    (result, PEAK.load(Relaxed).saturating_sub(before))
+    (result, lap().1.saturating_sub(before))
 }

@@ -12,12 +12,12 @@ use crate::ExportError;
 /// Replaces `path` by `bytes`: a temporary file in the same folder is written, flushed to the disk and renamed over
 /// it. Missing folders are created. On any error the old file is untouched and the temporary one is gone.
 pub fn write_atomic(path: &Path, bytes: &[u8]) -> Result<(), ExportError> {
-    write_atomic_parts(path, &[bytes])
+    write_atomic_with(path, |file| file.write_all(bytes))
 }
 
-/// [`write_atomic`] of a content that lies in several parts.
-pub fn write_atomic_parts(path: &Path, parts: &[&[u8]]) -> Result<(), ExportError> {
-    persist(vec![stage(path, |file| parts.iter().try_for_each(|part| file.write_all(part)))?])
+/// [`write_atomic`] of a content that `fill` writes to the temporary file, which stands at its beginning.
+pub fn write_atomic_with(path: &Path, fill: impl FnOnce(&mut fs::File) -> io::Result<()>) -> Result<(), ExportError> {
+    persist(vec![stage(path, fill)?])
 }
 
 /// A finished file under a temporary name, which goes when this is dropped.

@@ -20,7 +20,7 @@ pub mod png;
 pub mod report;
 pub mod tonemap;
 
-pub use atomic::{write_atomic, write_atomic_parts};
+pub use atomic::{write_atomic, write_atomic_with};
 pub use error::ExportError;
 pub use gltf::{Glb, Original};
 pub use lightmap::{BoundMap, Lightmap, sample_lightmap};

@@ -124,12 +124,7 @@ fn report(scene: &Scene, n: u32) {
     let start = Instant::now();
     let tree = LightTree::indirect(&geometry, &surfels, &solution, 0.0);
     let build = start.elapsed().as_secs_f64() * 1e3;
-    println!(
-        "\n{}: {} surfels, light tree of {} nodes in {build:.1} ms",
-        scene.name,
-        surfels.list.len(),
-        tree.nodes.len()
-    );
+    println!("\n{}: {} surfels, light tree of {} lights in {build:.1} ms", scene.name, surfels.list.len(), tree.len());
     println!(
         "{:28} {:>8} {:>7} {:>6} {:>7} {:>7} {:>7} {:>7} {:>9}",
         "mode", "us", "rays", "cut", "rmse %", "bias %", "p50 %", "p95 %", "bound %"

@@ -67,6 +67,11 @@ impl Original {
         buffers.chain(self.taken_in.iter().map(Vec::len)).map(|n| n as u64).sum()
     }
 
+    /// Every file that was read, with the digest of its bytes: images too that no lightmap depends on.
+    pub fn inputs(&self) -> &[luxel_scene::InputFile] {
+        self.files.inputs()
+    }
+
     /// Files that the importer read too must have had the same bytes then.
     ///
     /// # Errors

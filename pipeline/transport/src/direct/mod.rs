@@ -37,8 +37,11 @@ use target::Pattern;
 use tiles::{Tile, Tiles};
 use visibility::{Between, Sight};
 
-/// Receivers that share a tree of tiles.
-const CHUNK: usize = 2048;
+/// Receivers that share a tree of tiles. Batches of whole chunks give the very bits of all receivers at once.
+pub(crate) const CHUNK: usize = 2048;
+
+/// Receivers between two questions whether their light is still wanted.
+const BREATH: usize = 32;
 
 /// How visibility is found out.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
@@ -104,6 +107,7 @@ impl<'a> Direct<'a> {
         let tiles = Tiles::new(receivers);
         let mut job = Job {
             direct: self,
+            progress,
             receivers,
             tiles: &tiles,
             sums: vec![DVec3::ZERO; receivers.len()],
@@ -111,8 +115,7 @@ impl<'a> Direct<'a> {
             lists: Vec::new(),
         };
         for light in &self.lights {
-            progress.check()?;
-            job.tile(light, 0, Known::Nothing);
+            job.tile(light, 0, Known::Nothing)?;
         }
         progress.advance(receivers.len() as u64);
         let results = job.sums.iter().zip(&job.rays);
@@ -169,6 +172,8 @@ enum Known {
 /// One chunk of receivers and its sums.
 struct Job<'j> {
     direct: &'j Direct<'j>,
+    /// Asked before every few receivers: a chunk alone can take longer than anybody wants to wait.
+    progress: &'j dyn Progress,
     receivers: &'j [Receiver],
     tiles: &'j Tiles,
     sums: Vec<DVec3>,
@@ -181,11 +186,12 @@ impl Job<'_> {
     /// Longest list that children filter; above it they ask the tree anew.
     const LIST: usize = 2048;
 
-    fn tile(&mut self, light: &Target, at: usize, known: Known) {
+    fn tile(&mut self, light: &Target, at: usize, known: Known) -> Result<(), Cancelled> {
         let tiles = self.tiles;
         let tile = &tiles.nodes[at];
+        self.progress.check()?;
         if light.is_out(tile) {
-            return;
+            return Ok(());
         }
         if self.direct.settings.visibility == Visibility::Rays {
             return self.light(light, tile, None);
@@ -209,16 +215,17 @@ impl Job<'_> {
         };
         match (tile.second, known) {
             (Some(second), known) if !matches!(known, Known::Listed(from, to) if from == to) => {
-                self.tile(light, at + 1, known);
-                self.tile(light, second, known);
+                self.tile(light, at + 1, known)?;
+                self.tile(light, second, known)?;
             }
-            (_, known) => self.light(light, tile, Some(known)),
+            (_, known) => self.light(light, tile, Some(known))?,
         }
         self.lists.truncate(start);
+        Ok(())
     }
 
     /// Adds the light at every receiver of the tile; without `known`, by rays.
-    fn light(&mut self, light: &Target, tile: &Tile, known: Option<Known>) {
+    fn light(&mut self, light: &Target, tile: &Tile, known: Option<Known>) -> Result<(), Cancelled> {
         let between = match known {
             None => Between::Unknown,
             Some(Known::Listed(from, to)) if from == to => Between::Nothing,
@@ -227,13 +234,17 @@ impl Job<'_> {
             }
             Some(_) => Between::Many,
         };
-        for &i in &self.tiles.order[tile.first..tile.first + tile.count] {
-            let i = i as usize;
-            let direct = self.direct;
-            let (e, rays) = light.irradiance(&self.receivers[i], &direct.sight, &direct.patterns, between);
-            self.sums[i] += e.as_dvec3();
-            self.rays[i] = self.rays[i].saturating_add(rays);
+        for some in self.tiles.order[tile.first..tile.first + tile.count].chunks(BREATH) {
+            self.progress.check()?;
+            for &i in some {
+                let i = i as usize;
+                let direct = self.direct;
+                let (e, rays) = light.irradiance(&self.receivers[i], &direct.sight, &direct.patterns, between);
+                self.sums[i] += e.as_dvec3();
+                self.rays[i] = self.rays[i].saturating_add(rays);
+            }
         }
+        Ok(())
     }
 }
 

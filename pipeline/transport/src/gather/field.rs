@@ -56,9 +56,7 @@ pub struct Field<'a> {
     pub rays: &'a Rays<'a>,
     pub surfels: &'a Surfels,
     pub solution: &'a Solution,
-    pub index: SurfelIndex,
-    /// Direct + indirect irradiance of every surfel.
-    irradiance: Vec<Rgb>,
+    pub index: SurfelIndex<'a>,
     /// For each material what it is everywhere, where that does not depend on the point.
     uniform: Vec<Option<Surface>>,
 }
@@ -67,9 +65,8 @@ impl<'a> Field<'a> {
     /// Checks that the three belong together.
     pub fn new(rays: &'a Rays<'a>, surfels: &'a Surfels, solution: &'a Solution) -> Result<Self, FieldError> {
         check(rays, surfels, solution)?;
-        let irradiance = solution.direct.iter().zip(&solution.indirect).map(|(d, i)| *d + *i).collect();
         let uniform = uniform_materials(rays.geometry.scene);
-        Ok(Self { rays, surfels, solution, index: SurfelIndex::new(surfels), irradiance, uniform })
+        Ok(Self { rays, surfels, solution, index: SurfelIndex::new(surfels), uniform })
     }
 
     /// Follows a ray from `origin` along `direction` (unit) through all veils, and shows every surface on its way.
@@ -119,7 +116,7 @@ impl<'a> Field<'a> {
             Some(surface) => *surface,
             None => geometry.surface(hit.triangle, hit.u, hit.v, 0.0),
         };
-        let irradiance = surfel.map_or(Rgb::ZERO, |s| self.irradiance[s]);
+        let irradiance = surfel.map_or(Rgb::ZERO, |s| self.solution.total(s));
         let lit = if shines { 1.0 } else { 0.0 };
         let encounter = Encounter {
             distance,

@@ -4,7 +4,10 @@
 
 use glam::{IVec3, Vec3};
 
-use crate::{sampling::mix, surfel::Surfels};
+use crate::{
+    sampling::mix,
+    surfel::{Surfel, Surfels},
+};
 
 /// A surfel and a surface point look to the same side when their normals agree at least this well: surfels gather
 /// normals within dot 0.9 of their mean.
@@ -21,26 +24,18 @@ struct Brick {
     mask: u64,
 }
 
-/// The surfels of one voxel in the list.
-#[derive(Clone, Copy)]
-struct Run {
-    first: u32,
-    count: u32,
-}
-
 /// Finds surfels by voxel.
-pub struct SurfelIndex {
+pub struct SurfelIndex<'a> {
     bricks: Vec<Brick>,
-    /// By number of the occupied voxel.
-    runs: Vec<Run>,
-    normals: Vec<Vec3>,
-    centroids: Vec<Vec3>,
+    /// The first surfel of each occupied voxel, by its number; the others follow it.
+    firsts: Vec<u32>,
+    list: &'a [Surfel],
     origin: Vec3,
     per_edge: f32,
 }
 
-impl SurfelIndex {
-    pub fn new(surfels: &Surfels) -> Self {
+impl<'a> SurfelIndex<'a> {
+    pub fn new(surfels: &'a Surfels) -> Self {
         let list = &surfels.list;
         let voxels = || list.chunk_by(|a, b| a.voxel() == b.voxel());
         let mut bricks = insert_all(voxels().map(|run| run[0].voxel()));
@@ -49,23 +44,15 @@ impl SurfelIndex {
             brick.first = occupied;
             occupied += brick.mask.count_ones();
         }
-        let mut runs = vec![Run { first: 0, count: 0 }; occupied as usize];
+        let mut firsts = vec![0; occupied as usize];
         let mut first = 0;
         for run in voxels() {
-            let count = run.len() as u32;
             if let Some(number) = number(&bricks, run[0].voxel()) {
-                runs[number] = Run { first, count };
+                firsts[number] = first;
             }
-            first += count;
+            first += run.len() as u32;
         }
-        Self {
-            bricks,
-            runs,
-            normals: list.iter().map(|s| s.normal).collect(),
-            centroids: list.iter().map(|s| s.centroid).collect(),
-            origin: surfels.grid.origin,
-            per_edge: 1.0 / surfels.grid.edge,
-        }
+        Self { bricks, firsts, list, origin: surfels.grid.origin, per_edge: 1.0 / surfels.grid.edge }
     }
 
     /// The voxel that holds a point.
@@ -75,10 +62,9 @@ impl SurfelIndex {
 
     /// The surfels of a voxel, as a range of the list.
     pub fn surfels(&self, voxel: IVec3) -> std::ops::Range<usize> {
-        match number(&self.bricks, voxel).map(|number| self.runs[number]) {
-            Some(Run { first, count }) => first as usize..(first + count) as usize,
-            None => 0..0,
-        }
+        let Some(number) = number(&self.bricks, voxel) else { return 0..0 };
+        let first = self.firsts[number] as usize;
+        first..first + self.list[first..].iter().take_while(|s| s.voxel() == voxel).count()
     }
 
     /// The surfel at a surface point on the side that `normal` looks to: the best aligned one of the point's voxel; in a
@@ -87,7 +73,7 @@ impl SurfelIndex {
         let voxel = self.voxel(point);
         let mut best = (FACING, None);
         for i in self.surfels(voxel) {
-            let facing = self.normals[i].dot(normal);
+            let facing = self.list[i].normal.dot(normal);
             if facing > best.0 {
                 best = (facing, Some(i));
             }
@@ -100,8 +86,8 @@ impl SurfelIndex {
         let mut best = (f32::INFINITY, None);
         for neighbour in neighbours(voxel, 1) {
             for i in self.surfels(neighbour) {
-                let distance = self.centroids[i].distance_squared(point);
-                if self.normals[i].dot(normal) > FACING && distance < best.0 {
+                let distance = self.list[i].centroid.distance_squared(point);
+                if self.list[i].normal.dot(normal) > FACING && distance < best.0 {
                     best = (distance, Some(i));
                 }
             }

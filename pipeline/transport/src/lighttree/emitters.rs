@@ -6,7 +6,6 @@ use glam::Vec3;
 use super::{Light, Seeded};
 use crate::{
     geometry::Geometry,
-    rays::OFFSET,
     sampling::{combine, mix},
 };
 
@@ -61,7 +60,7 @@ fn sample(geometry: &Geometry, t: u32, piece: f32, samples: &mut EmitterSamples)
             number += 1;
             for &side in sides {
                 let normal = triangle.normal * side;
-                let light = Light { position, normal, target: position + normal * OFFSET, intensity, area: 0.0 };
+                let light = Light { position, normal, intensity, area: 0.0 };
                 samples.lights.push(Seeded { light, seed: combine(identity, number) });
             }
         }

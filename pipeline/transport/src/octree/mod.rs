@@ -4,9 +4,11 @@
 //! irradiance [lux] as f32 (f16 overflows); every node holds the aggregate of its leaves: power Σ A·B of the light that
 //! leaves them, area, bounding box, cone of normals. Empty space has no nodes, chains of single children are skipped.
 //!
-//! It is the form in which this light is stored: the cache gives back the [`Surfels`] and the [`Solution`] it was made
-//! from, bit by bit, so that a stored tree stands for voxelization and propagation. No stage of a bake reads light out
-//! of the tree itself: the gather has structures of its own over what [`Octree::unpack`] returns.
+//! It is the form in which this light is stored: a stored tree gives back the [`Surfels`] and the [`Solution`] it was
+//! made from, bit by bit, so that it stands for voxelization and propagation. No stage of a bake reads light out of the
+//! tree itself: the gather has structures of its own. So a tree never exists beside what it was made from: [`Octree`]
+//! is an order of the surfels and the ranges of the nodes, about ten bytes a surfel, whose leaves and aggregates come
+//! into being one by one as they are written, and [`read`] fills the lists directly.
 
 mod codec;
 
@@ -15,10 +17,10 @@ use glam::Vec3;
 
 use crate::{
     Rgb,
-    surfel::{Emission, Grid, Solution, Surfel, Surfels, morton},
+    surfel::{Grid, Solution, Surfel, Surfels, morton},
 };
 
-pub use codec::OctreeError;
+pub use codec::{OctreeError, read};
 
 /// Surfels in a node that is not split further, as a rule; a voxel is never split.
 const LEAF_SIZE: u32 = 8;
@@ -54,71 +56,90 @@ pub struct Node {
     pub children: u32,
 }
 
-/// The cache. Its parts fit together; [`Octree::from_bytes`] sees to that for what comes from a disk.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Octree {
-    grid: Grid,
-    nodes: Vec<Node>,
-    leaves: Vec<Leaf>,
-    /// As in [`Surfels::emission`], in the order of the list.
-    emission: Vec<Emission>,
+/// The tree over the surfels of a solution.
+#[derive(Clone, Debug)]
+pub struct Octree<'a> {
+    surfels: &'a Surfels,
+    solution: &'a Solution,
+    /// The surfel at each place of the tree.
+    order: Vec<u32>,
+    nodes: Vec<Span>,
 }
 
-impl Octree {
+/// What a node holds, without the aggregate; as in [`Node`].
+#[derive(Clone, Copy, Debug)]
+struct Span {
+    first: u32,
+    count: u32,
+    child: u32,
+    children: u32,
+}
+
+impl<'a> Octree<'a> {
     /// The tree of a solution. Panics if the lengths differ.
-    pub fn new(surfels: &Surfels, solution: &Solution) -> Self {
+    pub fn new(surfels: &'a Surfels, solution: &'a Solution) -> Self {
         assert_eq!(surfels.list.len(), solution.direct.len(), "a direct irradiance for every surfel");
         assert_eq!(surfels.list.len(), solution.indirect.len(), "an indirect irradiance for every surfel");
-        let mut order: Vec<(u64, u32)> =
+        let mut codes: Vec<(u64, u32)> =
             surfels.list.iter().enumerate().map(|(i, s)| (morton(s.voxel()), i as u32)).collect();
-        order.sort_unstable();
-        let leaf = |&(_, i): &(u64, u32)| {
-            let i = i as usize;
-            Leaf { surfel: surfels.list[i], direct: solution.direct[i], indirect: solution.indirect[i] }
-        };
-        let leaves: Vec<Leaf> = order.iter().map(leaf).collect();
-        let mut nodes = structure(&order);
-        drop(order);
-        nodes.iter_mut().for_each(|node| aggregate(node, &leaves));
-        Self { grid: surfels.grid, nodes, leaves, emission: surfels.emission.clone() }
+        codes.sort_unstable();
+        let nodes = structure(&codes);
+        Self { surfels, solution, order: codes.iter().map(|(_, i)| *i).collect(), nodes }
     }
 
     pub fn grid(&self) -> &Grid {
-        &self.grid
+        &self.surfels.grid
     }
 
-    /// Nodes, the root first; empty where there is no surfel.
-    pub fn nodes(&self) -> &[Node] {
-        &self.nodes
+    /// Nodes, the root first; none where there is no surfel. Each is aggregated when it is asked for.
+    pub fn nodes(&self) -> impl ExactSizeIterator<Item = Node> {
+        self.nodes.iter().map(|span| self.aggregate(span))
     }
 
-    pub fn leaves(&self) -> &[Leaf] {
-        &self.leaves
+    /// The surfels with their light, in the tree's order.
+    pub fn leaves(&self) -> impl ExactSizeIterator<Item = Leaf> {
+        self.order.iter().map(|i| self.leaf(*i))
     }
 
-    /// Whether every leaf lies on one of so many triangles; a stored tree says nothing about the scene it meets.
-    pub fn fits(&self, triangles: usize) -> bool {
-        self.leaves.iter().all(|l| (l.surfel.triangle as usize) < triangles)
+    fn leaf(&self, surfel: u32) -> Leaf {
+        let i = surfel as usize;
+        Leaf { surfel: self.surfels.list[i], direct: self.solution.direct[i], indirect: self.solution.indirect[i] }
     }
 
-    /// The surfels and the solution that the tree was made from.
-    pub fn unpack(&self) -> (Surfels, Solution) {
-        let mut order: Vec<u32> = (0..self.leaves.len() as u32).collect();
-        let leaf = |i: &u32| &self.leaves[*i as usize];
-        // Within a voxel the tree keeps the order of the list.
-        order.sort_unstable_by_key(|i| (leaf(i).surfel.voxel().to_array(), *i));
-        let list = order.iter().map(|i| leaf(i).surfel).collect();
-        let direct = order.iter().map(|i| leaf(i).direct).collect();
-        let indirect = order.iter().map(|i| leaf(i).indirect).collect();
-        (Surfels { grid: self.grid, list, emission: self.emission.clone() }, Solution { direct, indirect })
+    fn aggregate(&self, span: &Span) -> Node {
+        let mine = &self.order[span.first as usize..(span.first + span.count) as usize];
+        let (mut lo, mut hi) = (Vec3::INFINITY, Vec3::NEG_INFINITY);
+        let (mut power, mut area, mut axis) = (glam::DVec3::ZERO, 0.0f64, glam::DVec3::ZERO);
+        for Leaf { surfel: s, direct, indirect } in mine.iter().map(|i| self.leaf(*i)) {
+            (lo, hi) = (lo.min(s.centroid), hi.max(s.centroid));
+            let radiosity = s.albedo() * (direct + indirect);
+            power += f64::from(s.area) * radiosity.as_dvec3();
+            area += f64::from(s.area);
+            axis += f64::from(s.area) * s.normal.as_dvec3();
+        }
+        let unit = axis.try_normalize().map(|a| a.as_vec3());
+        let normal = |i: &u32| self.surfels.list[*i as usize].normal;
+        let cosine = unit.map_or(-1.0, |a| mine.iter().fold(1.0f32, |m, i| m.min(a.dot(normal(i)))));
+        // Of two zeros either may be the least, as the compiler likes: a sum with zero has no sign.
+        Node {
+            lo: (lo + Vec3::ZERO).to_array(),
+            hi: (hi + Vec3::ZERO).to_array(),
+            power: power.as_vec3().to_array(),
+            area: area as f32,
+            axis: unit.unwrap_or(Vec3::Z).to_array(),
+            cosine: cosine.max(-1.0) + 0.0,
+            first: span.first,
+            count: span.count,
+            child: span.child,
+            children: span.children,
+        }
     }
 }
 
-/// Nodes over surfels sorted by Morton code, breadth first so that the children of a node are neighbours. Aggregates
-/// are empty.
-fn structure(codes: &[(u64, u32)]) -> Vec<Node> {
-    let empty = |first: usize, count: usize| Node { first: first as u32, count: count as u32, ..Node::zeroed() };
-    let mut nodes = if codes.is_empty() { Vec::new() } else { vec![empty(0, codes.len())] };
+/// Nodes over surfels sorted by Morton code, breadth first so that the children of a node are neighbours.
+fn structure(codes: &[(u64, u32)]) -> Vec<Span> {
+    let group = |first: usize, count: usize| Span { first: first as u32, count: count as u32, child: 0, children: 0 };
+    let mut nodes = if codes.is_empty() { Vec::new() } else { vec![group(0, codes.len())] };
     let mut next = 0;
     while next < nodes.len() {
         let (first, count) = (nodes[next].first as usize, nodes[next].count as usize);
@@ -130,7 +151,7 @@ fn structure(codes: &[(u64, u32)]) -> Vec<Node> {
             nodes[next].child = nodes.len() as u32;
             let mut start = first;
             for part in mine.chunk_by(|a, b| a.0 >> (3 * level) == b.0 >> (3 * level)) {
-                nodes.push(empty(start, part.len()));
+                nodes.push(group(start, part.len()));
                 nodes[next].children += 1;
                 start += part.len();
             }
@@ -138,27 +159,6 @@ fn structure(codes: &[(u64, u32)]) -> Vec<Node> {
         next += 1;
     }
     nodes
-}
-
-fn aggregate(node: &mut Node, leaves: &[Leaf]) {
-    let mine = &leaves[node.first as usize..(node.first + node.count) as usize];
-    let (mut lo, mut hi) = (Vec3::INFINITY, Vec3::NEG_INFINITY);
-    let (mut power, mut area, mut axis) = (glam::DVec3::ZERO, 0.0f64, glam::DVec3::ZERO);
-    for Leaf { surfel: s, direct, indirect } in mine {
-        (lo, hi) = (lo.min(s.centroid), hi.max(s.centroid));
-        let radiosity = s.albedo() * (*direct + *indirect);
-        power += f64::from(s.area) * radiosity.as_dvec3();
-        area += f64::from(s.area);
-        axis += f64::from(s.area) * s.normal.as_dvec3();
-    }
-    let unit = axis.try_normalize().map(|a| a.as_vec3());
-    let cosine = unit.map_or(-1.0, |a| mine.iter().fold(1.0f32, |m, l| m.min(a.dot(l.surfel.normal))));
-    node.lo = lo.to_array();
-    node.hi = hi.to_array();
-    node.power = power.as_vec3().to_array();
-    node.area = area as f32;
-    node.axis = unit.unwrap_or(Vec3::Z).to_array();
-    node.cosine = cosine.max(-1.0);
 }
 
 #[cfg(test)]

@@ -10,6 +10,7 @@ use luxel_scene::{Cancelled, Progress};
 use super::Shot;
 use crate::{
     Rgb,
+    direct::CHUNK,
     gather::{Gather, Receiver},
     geometry::Geometry,
     lighttree::identity,
@@ -17,8 +18,8 @@ use crate::{
     surfel::{Grid, Surfel, Surfels, morton},
 };
 
-/// Receivers gathered at a time, so that memory stays small beside the surfels.
-const BATCH: usize = 1 << 16;
+/// Surfels whose receivers form chunks together; the next ones begin a chunk of their own.
+const RUN: usize = 1 << 16;
 
 /// Direct irradiance of every surfel by `light`, as the mean over up to `points` (1 or 5) points of each.
 pub fn exact(
@@ -29,24 +30,53 @@ pub fn exact(
     progress: &dyn Progress,
 ) -> Result<Shot, Cancelled> {
     let mut shot = Shot { irradiance: vec![Rgb::ZERO; surfels.list.len()], ..Shot::default() };
-    for batch in by_place(surfels).chunks(BATCH) {
-        let mut receivers = Vec::with_capacity(batch.len());
-        let mut ends = Vec::with_capacity(batch.len());
-        for &i in batch {
-            push_receivers(geometry, &surfels.grid, &surfels.list[i as usize], points, &mut receivers);
-            ends.push(receivers.len());
-        }
-        let gathered = light.gather(&receivers, progress)?;
-        let mut start = 0;
-        for (&i, end) in batch.iter().zip(ends) {
-            let own = &gathered[start..end];
-            let sum: Rgb = own.iter().map(|g| g.irradiance).sum();
-            shot.irradiance[i as usize] = sum / (end - start).max(1) as f32;
-            shot.rays += own.iter().map(|g| u64::from(g.rays)).sum::<u64>();
-            start = end;
+    let batch = batch();
+    for run in by_place(surfels).chunks(RUN) {
+        let mut places = run.iter().flat_map(|i| places(geometry, surfels, *i, points));
+        loop {
+            let (owners, receivers): (Vec<Owner>, Vec<Receiver>) = places.by_ref().take(batch).unzip();
+            if receivers.is_empty() {
+                break;
+            }
+            for (owner, gathered) in owners.iter().zip(light.gather(&receivers, progress)?) {
+                let irradiance = &mut shot.irradiance[owner.surfel as usize];
+                *irradiance += gathered.irradiance;
+                if owner.last {
+                    *irradiance /= f32::from(owner.points);
+                }
+                shot.rays += u64::from(gathered.rays);
+            }
         }
     }
     Ok(shot)
+}
+
+/// Receivers gathered at a time, so that memory stays small beside the surfels: whole chunks of what threads take, so
+/// that their number changes no bit.
+fn batch() -> usize {
+    CHUNK * 8 * rayon::current_num_threads()
+}
+
+/// The surfel that a receiver belongs to.
+#[derive(Clone, Copy)]
+struct Owner {
+    surfel: u32,
+    /// How many receivers it has, and whether this is the last.
+    points: u8,
+    last: bool,
+}
+
+/// The receivers of one surfel.
+fn places(
+    geometry: &Geometry,
+    surfels: &Surfels,
+    surfel: u32,
+    points: u32,
+) -> impl Iterator<Item = (Owner, Receiver)> + use<> {
+    let all = receivers(geometry, &surfels.grid, &surfels.list[surfel as usize], points);
+    let count = all.iter().flatten().count();
+    let owner = move |number: usize| Owner { surfel, points: count as u8, last: number + 1 == count };
+    all.into_iter().flatten().enumerate().map(move |(number, receiver)| (owner(number), receiver))
 }
 
 /// The surfels in an order in which neighbours lie close together and face one way, so that one shaft serves many:
@@ -64,7 +94,7 @@ fn by_place(surfels: &Surfels) -> Vec<u32> {
 }
 
 /// The surfel's own point, and its neighbours where they lie on the same triangle and in the same voxel.
-fn push_receivers(geometry: &Geometry, grid: &Grid, surfel: &Surfel, points: u32, out: &mut Vec<Receiver>) {
+fn receivers(geometry: &Geometry, grid: &Grid, surfel: &Surfel, points: u32) -> [Option<Receiver>; 5] {
     let (center, normal) = surfel.place(geometry);
     let at = |position: Vec3, i: u64| Receiver {
         position,
@@ -74,9 +104,9 @@ fn push_receivers(geometry: &Geometry, grid: &Grid, surfel: &Surfel, points: u32
         // The surfel's own identity: an edit of another mesh, which renumbers triangles, changes nobody's noise.
         seed: combine(identity(surfel), i),
     };
-    out.push(at(center, 0));
+    let mut found = [Some(at(center, 0)), None, None, None, None];
     if points < 2 {
-        return;
+        return found;
     }
     let corners = geometry.triangles[surfel.triangle as usize].corners;
     let axes = basis(normal);
@@ -85,9 +115,10 @@ fn push_receivers(geometry: &Geometry, grid: &Grid, surfel: &Surfel, points: u32
         let p = center + (axes.x_axis * x + axes.y_axis * y) * step;
         let voxel = ((p - grid.origin) / grid.edge).floor().as_ivec3();
         if voxel == surfel.voxel() && contains(corners, p) {
-            out.push(at(p, i as u64 + 1));
+            found[i + 1] = Some(at(p, i as u64 + 1));
         }
     }
+    found
 }
 
 /// A point of the triangle's plane lies within the triangle.

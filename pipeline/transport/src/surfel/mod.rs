@@ -114,6 +114,14 @@ pub struct Solution {
     pub indirect: Vec<Rgb>,
 }
 
+impl Solution {
+    /// Direct and indirect irradiance of one surfel [lux].
+    #[inline]
+    pub fn total(&self, surfel: usize) -> Rgb {
+        self.direct[surfel] + self.indirect[surfel]
+    }
+}
+
 impl Surfels {
     /// Voxelizes everything that casts. Same geometry and settings, same bytes, whatever the number of threads.
     ///

@@ -257,6 +257,90 @@ fn orders_go_slice_by_slice_and_keep_voxels_together() {
 }
 
 #[test]
+fn a_cell_of_the_ring_belongs_to_one_line_from_its_entry_to_its_exit() {
+    let mut b = Builder::new("slab");
+    let white = b.matte(Vec3::ONE);
+    b.cuboid("slab", Vec3::ZERO, Vec3::new(1.0, 0.3, 0.6), white, true);
+    let scene = b.build();
+    let geometry = Geometry::new(&scene);
+    let surfels = voxelized(&geometry, 20);
+    let planes = Planes::new(&surfels);
+    for axis in 0..3 {
+        let order = axis::order(&surfels, &planes, axis);
+        let copy = AxisCopy::new(&surfels, &planes, axis, &order);
+        let [slices, rows, columns] = copy.size;
+        for direction in DirectionSet::Fibonacci.directions(60, 3) {
+            if lines::dominant(direction.sigma) != axis {
+                continue;
+            }
+            let lines = Lines::new(&copy, &direction);
+            let slope = |k: usize| f64::from(direction.sigma[(axis + k) % 3]) / f64::from(direction.sigma[axis]);
+            let floor = |k: usize, x: i32| (slope(k) * f64::from(x) + direction.phase[k - 1]).floor() as i32;
+            let mut table = vec![None; lines.cells as usize];
+            let mut before: Vec<(i32, i32)> = Vec::new();
+            let along = (0..slices).map(|x| if lines.forward { x } else { slices - 1 - x });
+            for x in along {
+                let slice = &lines.slices[x as usize];
+                if !before.is_empty() {
+                    lines.enter(slice, &mut table, None);
+                }
+                let mut here = Vec::new();
+                for (y, z) in (0..rows).flat_map(|y| (0..columns).map(move |z| (y, z))) {
+                    let line = (y - floor(1, x), z - floor(2, x));
+                    let cell = &mut table[lines.cell(y as u32 * copy.stride + z as u32, slice) as usize];
+                    let known = before.contains(&line).then_some(line);
+                    assert_eq!(*cell, known, "axis {axis}, slice {x}, voxel {y}, {z}");
+                    *cell = Some(line);
+                    here.push(line);
+                }
+                before = here;
+            }
+        }
+    }
+}
+
+#[test]
+fn the_way_between_surfels_of_a_line_is_that_of_their_centroids() {
+    let scene = tilted(room_with_block(Vec3::ONE));
+    let geometry = Geometry::new(&scene);
+    let surfels = voxelized(&geometry, 24);
+    let planes = Planes::new(&surfels);
+    for axis in 0..3 {
+        let order = axis::order(&surfels, &planes, axis);
+        let copy = AxisCopy::new(&surfels, &planes, axis, &order);
+        let place = |k: usize| {
+            let s = &surfels.list[order[k] as usize];
+            let local = surfels.grid.local(s.centroid);
+            (s.voxel()[axis], Vec3::from([0, 1, 2].map(|turned| local[(axis + turned) % 3])))
+        };
+        let mut checked = 0;
+        for direction in DirectionSet::Fibonacci.directions(60, 3) {
+            if lines::dominant(direction.sigma) != axis {
+                continue;
+            }
+            let lines = Lines::new(&copy, &direction);
+            let mut table = vec![None; lines.cells as usize];
+            for (part, first) in lines.order(&copy) {
+                let range = copy.parts[part].start as usize..copy.parts[part + 1].start as usize;
+                let slice = &lines.slices[copy.parts[part].slice as usize];
+                if first {
+                    lines.enter(slice, &mut table, None);
+                }
+                for k in range {
+                    let before = table[lines.cell(copy.key(k), slice) as usize].replace(k);
+                    let Some(before) = before.filter(|&j| (place(j).0 - place(k).0).abs() <= 3) else { continue };
+                    let way = Vec3::from(copy.between(before, k, slice.apart(before as u32, lines.forward)));
+                    let exact = place(k).1 - place(before).1;
+                    assert!((way - exact).length() < 1e-4, "axis {axis}: {way} is {exact}");
+                    checked += 1;
+                }
+            }
+        }
+        assert!(checked > 1000, "{checked}");
+    }
+}
+
+#[test]
 fn a_lamp_smaller_than_a_voxel_hides_its_share_and_no_more() {
     let mut b = Builder::new("lamp");
     let black = b.matte(Vec3::ZERO);

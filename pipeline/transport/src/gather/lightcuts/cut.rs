@@ -11,13 +11,13 @@ use glam::{DVec3, Vec3};
 use super::Settings;
 use crate::{
     Rgb,
-    lighttree::{Cluster, LightTree, Node, Vantage},
+    lighttree::{Branch, Cluster, LightTree, Node, Vantage},
     rays::Rays,
 };
 
 /// A tree as one receiver sees it.
 pub(super) struct Source<'a> {
-    pub tree: &'a LightTree,
+    pub tree: &'a LightTree<'a>,
     pub vantage: Vantage,
     /// B̄, the radiosity that is accounted for elsewhere.
     pub control: Rgb,
@@ -27,51 +27,75 @@ pub(super) struct Source<'a> {
 
 impl Source<'_> {
     /// What the K·V of a node's representative is multiplied by.
-    fn stand_in(&self, node: u32) -> Rgb {
-        let (intensity, area) = self.tree.stand_in(node, self.variant);
+    fn stand_in(&self, node: &Node, representative: u32) -> Rgb {
+        let (intensity, area) = self.tree.stand_in(node, representative);
         intensity - self.control * area
     }
 
-    fn representative(&self, node: u32) -> u32 {
-        self.tree.nodes[node as usize].representatives[self.variant]
+    /// The light that stands for a node; `known` stands for a node above it.
+    fn representative(&self, branch: Branch, known: Option<u32>) -> u32 {
+        match known {
+            Some(light) if branch.holds(light) => light,
+            _ => self.tree.representative(branch, self.variant),
+        }
     }
 }
 
-/// An inner node in the cut.
+/// An inner node.
 #[derive(Clone, Copy)]
 struct Member {
-    bound: f32,
-    source: u8,
-    node: u32,
-    /// K·V of its representative.
+    branch: Branch,
+    /// Its representative.
+    light: u32,
+    /// What the representative's K·V is multiplied by.
+    power: Rgb,
+    /// K·V of the representative.
     weight: Rgb,
 }
 
-impl Ord for Member {
+impl Member {
+    fn contribution(&self) -> DVec3 {
+        (self.power * self.weight).as_dvec3()
+    }
+}
+
+/// An inner node in the cut as the heap moves it about.
+#[derive(Clone, Copy)]
+struct Entry {
+    bound: f32,
+    source: u8,
+    node: u32,
+    /// Number of the member.
+    member: u32,
+}
+
+impl Ord for Entry {
     fn cmp(&self, other: &Self) -> Ordering {
         // Equal bounds are told apart by the tree's order, so that a heap's own order never decides.
         self.bound.total_cmp(&other.bound).then((other.source, other.node).cmp(&(self.source, self.node)))
     }
 }
 
-impl PartialOrd for Member {
+impl PartialOrd for Entry {
     fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
         Some(self.cmp(other))
     }
 }
 
-impl PartialEq for Member {
+impl PartialEq for Entry {
     fn eq(&self, other: &Self) -> bool {
         self.cmp(other) == Ordering::Equal
     }
 }
 
-impl Eq for Member {}
+impl Eq for Entry {}
 
 /// The cut, with memory that is used again for the next receiver.
 #[derive(Default)]
 pub(super) struct Cut {
-    heap: BinaryHeap<Member>,
+    heap: BinaryHeap<Entry>,
+    /// All that were ever in the cut.
+    members: Vec<Member>,
     /// Single lights in the cut that are not evaluated yet.
     lights: Vec<(u8, u32)>,
 }
@@ -108,11 +132,12 @@ impl Cut {
         settings: &Settings,
     ) -> Found {
         self.heap.clear();
+        self.members.clear();
         self.lights.clear();
         let mut search = Search { sources, tracer, origin, total: offset.as_dvec3(), rays: 0, lights: 0 };
         for (source, Source { tree, .. }) in (0..).zip(sources) {
             if let Some(root) = tree.root() {
-                self.push(&search, source, root);
+                self.push(&search, source, root, None);
             }
         }
         self.descend(&search, settings, mean(expected.as_dvec3()));
@@ -124,16 +149,20 @@ impl Cut {
     }
 
     /// Adds a cluster that is not evaluated; one that can contribute nothing is dropped.
-    fn push(&mut self, search: &Search, source: u8, cluster: Cluster) {
+    fn push(&mut self, search: &Search, source: u8, cluster: Cluster, known: Option<u32>) {
         match cluster {
             Cluster::Light(light) => self.lights.push((source, light)),
-            Cluster::Node(node) => {
-                let bound = search.bound(source, node);
-                if bound > 0.0 {
-                    self.heap.push(Member { bound, source, node, weight: Rgb::ZERO });
+            Cluster::Node(branch) => {
+                if let Some((bound, member)) = search.member(source, branch, known) {
+                    self.keep(bound, source, member);
                 }
             }
         }
+    }
+
+    fn keep(&mut self, bound: f32, source: u8, member: Member) {
+        self.heap.push(Entry { bound, source, node: member.branch.id, member: self.members.len() as u32 });
+        self.members.push(member);
     }
 
     /// Refines what is too coarse for the expected total, without evaluating anything. Half of the limit is left for
@@ -149,8 +178,9 @@ impl Cut {
                 _ => return,
             }
             let Some(top) = self.heap.pop() else { return };
-            for child in search.sources[usize::from(top.source)].tree.children(top.node) {
-                self.push(search, top.source, child);
+            let Member { branch, light, .. } = self.members[top.member as usize];
+            for child in search.sources[usize::from(top.source)].tree.children(branch) {
+                self.push(search, top.source, child, Some(light));
             }
         }
     }
@@ -160,15 +190,15 @@ impl Cut {
         for &(source, light) in &self.lights {
             search.add_light(source, light, None);
         }
-        let mut members = std::mem::take(&mut self.heap).into_vec();
+        let mut entries = std::mem::take(&mut self.heap).into_vec();
         // In the tree's order, so that the sum does not depend on how the heap is laid out.
-        members.sort_unstable_by_key(|m| (m.source, m.node));
-        for member in &mut members {
-            let representative = search.sources[usize::from(member.source)].representative(member.node);
-            member.weight = search.weight(member.source, representative);
-            search.total += search.contribution(member);
+        entries.sort_unstable_by_key(|e| (e.source, e.node));
+        for entry in &entries {
+            let member = &mut self.members[entry.member as usize];
+            member.weight = search.weight(entry.source, member.light);
+            search.total += member.contribution();
         }
-        self.heap = members.into();
+        self.heap = entries.into();
     }
 
     /// Refines by the running total.
@@ -180,25 +210,23 @@ impl Cut {
                 _ => return,
             }
             let Some(top) = self.heap.pop() else { return };
-            search.total -= search.contribution(&top);
-            let sources = search.sources;
-            let source = &sources[usize::from(top.source)];
-            let known = source.representative(top.node);
-            for child in source.tree.children(top.node) {
+            let parent = self.members[top.member as usize];
+            search.total -= parent.contribution();
+            for child in search.sources[usize::from(top.source)].tree.children(parent.branch) {
                 match child {
                     Cluster::Light(light) => {
-                        search.add_light(top.source, light, (light == known).then_some(top.weight));
+                        search.add_light(top.source, light, (light == parent.light).then_some(parent.weight));
                     }
-                    Cluster::Node(node) => {
-                        let bound = search.bound(top.source, node);
-                        if bound <= 0.0 {
+                    Cluster::Node(branch) => {
+                        let Some((bound, mut member)) = search.member(top.source, branch, Some(parent.light)) else {
                             continue;
-                        }
-                        let light = source.representative(node);
-                        let weight = if light == known { top.weight } else { search.weight(top.source, light) };
-                        let member = Member { bound, source: top.source, node, weight };
-                        search.total += search.contribution(&member);
-                        self.heap.push(member);
+                        };
+                        member.weight = match member.light {
+                            light if light == parent.light => parent.weight,
+                            light => search.weight(top.source, light),
+                        };
+                        search.total += member.contribution();
+                        self.keep(bound, top.source, member);
                     }
                 }
             }
@@ -207,23 +235,25 @@ impl Cut {
 }
 
 impl Search<'_> {
-    /// Largest error that a node can bring, in any band.
-    fn bound(&self, source: u8, node: u32) -> f32 {
-        let source = &self.sources[usize::from(source)];
-        let inner = &source.tree.nodes[node as usize];
-        let power = deviation(inner, source.control, source.stand_in(node));
-        if power > 0.0 { power * source.vantage.bound(inner) } else { 0.0 }
+    /// The largest error that a node can bring in any band, and the node, not evaluated; none that can bring none.
+    fn member(&self, source: u8, branch: Branch, known: Option<u32>) -> Option<(f32, Member)> {
+        let from = &self.sources[usize::from(source)];
+        let node = from.tree.node(branch);
+        let light = from.representative(branch, known);
+        let power = from.stand_in(&node, light);
+        let deviation = deviation(&node, from.control, power);
+        let bound = if deviation > 0.0 { deviation * from.vantage.bound(&node) } else { 0.0 };
+        (bound > 0.0).then_some((bound, Member { branch, light, power, weight: Rgb::ZERO }))
     }
 
     /// K·V of a light.
     fn weight(&mut self, source: u8, light: u32) -> Rgb {
         let source = &self.sources[usize::from(source)];
-        let light = &source.tree.lights[light as usize];
-        let kernel = source.vantage.kernel(light);
+        let kernel = source.vantage.kernel(&source.tree.light(light));
         if kernel <= 0.0 {
             return Rgb::ZERO;
         }
-        let d = light.target - self.origin;
+        let d = source.tree.target(light) - self.origin;
         let distance = d.length();
         if distance <= 0.0 {
             return Rgb::splat(kernel);
@@ -236,17 +266,13 @@ impl Search<'_> {
     fn add_light(&mut self, source: u8, light: u32, known: Option<Rgb>) {
         let sources = self.sources;
         let Source { tree, control, .. } = &sources[usize::from(source)];
-        let l = &tree.lights[light as usize];
+        let l = tree.light(light);
         let power = l.intensity - *control * l.area;
         self.lights += 1;
         if power != Rgb::ZERO {
             let weight = known.unwrap_or_else(|| self.weight(source, light));
             self.total += (power * weight).as_dvec3();
         }
-    }
-
-    fn contribution(&self, member: &Member) -> DVec3 {
-        (self.sources[usize::from(member.source)].stand_in(member.node) * member.weight).as_dvec3()
     }
 }
 
@@ -289,11 +315,11 @@ mod tests {
 
     fn light(i: usize, radiosity: Rgb, area: f32) -> Seeded {
         let position = Vec3::splat(unit(mix(i as u64)));
-        let light = Light { position, normal: Vec3::Z, target: position, intensity: radiosity * area, area };
+        let light = Light { position, normal: Vec3::Z, intensity: radiosity * area, area };
         Seeded { light, seed: i as u64 }
     }
 
-    fn source(tree: &LightTree, control: Rgb, variant: usize) -> Source<'_> {
+    fn source<'a>(tree: &'a LightTree, control: Rgb, variant: usize) -> Source<'a> {
         let receiver =
             Receiver { position: Vec3::ZERO, normal: Vec3::Z, shading_normal: Vec3::Z, footprint: 1.0, seed: 0 };
         Source { tree, vantage: Vantage::new(&receiver, f32::INFINITY), control, variant }
@@ -318,12 +344,15 @@ mod tests {
                 let i = (0..patches.len()).find(|&i| unit(mix(i as u64)) == l.position.x).unwrap();
                 if patches[i].2 { 1.0 } else { patches[i].3 }
             };
-            let truth: Rgb = tree.lights.iter().map(|l| (l.intensity - control * l.area) * kernel(l)).sum();
+            let root = tree.branches()[0];
+            let node = tree.node(root);
+            let truth: Rgb = tree.below(root).map(|(_, l)| (l.intensity - control * l.area) * kernel(&l)).sum();
             for variant in 0..VARIANTS {
                 let source = source(&tree, control, variant);
-                let stand_in = source.stand_in(0);
-                let estimate = stand_in * kernel(&tree.lights[source.representative(0) as usize]);
-                let bound = deviation(&tree.nodes[0], control, stand_in);
+                let representative = source.representative(root, None);
+                let stand_in = source.stand_in(&node, representative);
+                let estimate = stand_in * kernel(&tree.light(representative));
+                let bound = deviation(&node, control, stand_in);
                 let off = (estimate - truth).abs().max_element();
                 prop_assert!(off <= bound * (1.0 + 1e-4) + 1e-4, "{off} above {bound}");
             }
@@ -335,20 +364,23 @@ mod tests {
         let b = [1.0, 1.0, 3.0, 3.0];
         let lights = (0..4).map(|i| light(i, Rgb::splat(b[i]), 1.0)).collect();
         let tree = LightTree::new(lights, 0.0);
-        let root = &tree.nodes[0];
+        let root = &tree.node(tree.branches()[0]);
         assert_eq!(parts(root, Rgb::splat(2.0)), (Rgb::splat(2.0), Rgb::splat(2.0)));
         assert_eq!(parts(root, Rgb::ZERO), (Rgb::splat(8.0), Rgb::ZERO));
         assert_eq!(parts(root, Rgb::splat(5.0)), (Rgb::ZERO, Rgb::splat(12.0)));
         // A plain cut: the estimate lies between nothing and everything, and so does the truth.
-        assert_eq!(deviation(root, Rgb::ZERO, source(&tree, Rgb::ZERO, 0).stand_in(0)), 8.0);
+        assert_eq!(deviation(root, Rgb::ZERO, source(&tree, Rgb::ZERO, 0).stand_in(root, 0)), 8.0);
     }
 
     #[test]
     fn lights_that_are_all_alike_hide_nothing_behind_their_own_radiosity() {
         let tree = LightTree::new((0..9).map(|i| light(i, Rgb::splat(0.7), 0.5)).collect(), 0.7);
+        let root = tree.branches()[0];
+        let node = tree.node(root);
         for variant in 0..VARIANTS {
-            let stand_in = source(&tree, Rgb::splat(0.7), variant).stand_in(0);
-            assert!(deviation(&tree.nodes[0], Rgb::splat(0.7), stand_in) < 1e-5);
+            let source = source(&tree, Rgb::splat(0.7), variant);
+            let stand_in = source.stand_in(&node, source.representative(root, None));
+            assert!(deviation(&node, Rgb::splat(0.7), stand_in) < 1e-5);
         }
     }
 }

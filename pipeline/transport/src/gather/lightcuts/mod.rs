@@ -73,8 +73,8 @@ impl Default for Settings {
 pub struct Lightcuts<'a> {
     field: &'a Field<'a>,
     settings: Settings,
-    indirect: LightTree,
-    direct: LightTree,
+    indirect: LightTree<'a>,
+    direct: LightTree<'a>,
     /// Bounds b of both trees' kernels.
     caps: [f32; 2],
     hemisphere: Hemisphere,
@@ -228,7 +228,7 @@ fn median(seen: &[Rgb]) -> Rgb {
 fn mean_radiosity(field: &Field) -> f32 {
     let (mut power, mut area) = (0.0f64, 0.0f64);
     for (i, surfel) in field.surfels.list.iter().enumerate() {
-        let radiosity = surfel.albedo() * (field.solution.direct[i] + field.solution.indirect[i]);
+        let radiosity = surfel.albedo() * field.solution.total(i);
         power += f64::from(radiosity.element_sum() / 3.0 * surfel.area);
         area += f64::from(surfel.area);
     }
@@ -239,10 +239,7 @@ fn mean_radiosity(field: &Field) -> f32 {
 /// [`crate::solve::is_closed`] asks, for which nothing may see one, lit or not, nor the back of a surface.
 fn is_covered(field: &Field) -> bool {
     let (most, rays) = PROBES;
-    let reflects = |i: &usize| {
-        let (s, solution) = (&field.surfels.list[*i], field.solution);
-        (s.albedo() * (solution.direct[*i] + solution.indirect[*i])).max_element() > 0.0
-    };
+    let reflects = |i: &usize| (field.surfels.list[*i].albedo() * field.solution.total(*i)).max_element() > 0.0;
     let lit: Vec<usize> = (0..field.surfels.list.len()).filter(reflects).collect();
     let hemisphere = Hemisphere::new(rays);
     let step = lit.len().div_ceil(most).max(1);

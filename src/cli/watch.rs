@@ -1,0 +1,118 @@
+//! `luxel watch`: the command line's view of a watch.
+
+use std::path::{Path, PathBuf};
+
+use luxel::watch::event::{Event, Fault};
+use luxel::watch::{self, Choices, Finished, Options, Task};
+
+use super::args::Watch;
+use super::progress::{Reporter, Style, event, say};
+use super::{DONE, SOME_FAILED, config, on_interrupt, print};
+
+/// Bakes until it is interrupted.
+pub fn watch(args: &Watch) -> anyhow::Result<u8> {
+    let common = &args.bake.common;
+    // Read again by every bake; what is wrong with it now is wrong usage.
+    config(common)?;
+    let options = Options {
+        paths: Options::paths(&common.scenes)?,
+        out: args.bake.out.clone(),
+        choices: Choices { config: common.config.clone(), flags: common.settings.0.clone() },
+        worker: std::env::current_exe().ok(),
+    };
+    let style = Style::choose(common.json, common.quiet);
+    let watch = watch::Watch::new(options, args.poll);
+    let stopper = watch.stopper();
+    on_interrupt(move || stopper.stop())?;
+    let ending = watch.run(&|task: &Task| bake(style, task), &mut |event| tell(style, event));
+    Ok(if ending.failed.is_empty() { DONE } else { SOME_FAILED })
+}
+
+fn bake(style: Style, task: &Task) -> Result<Finished, luxel::Error> {
+    let reporter = Reporter::new(style, &print::written(&task.request.scene), task.cancelled.clone());
+    let baked = luxel::bake(task.request, &reporter);
+    reporter.finish();
+    Ok(baked?.into())
+}
+
+fn tell(style: Style, told: Event) {
+    match (style, told) {
+        (Style::Json, told) => event(&told.to_json()),
+        (_, Event::Failed { scene, fault }) => {
+            print::failed(style, &scene, &error(fault));
+            if style != Style::Quiet {
+                say("  its last lightmap stays; it is baked again when a file of it changes");
+            }
+        }
+        (Style::Quiet, _) => {}
+        (_, Event::Baked { scene, done }) => print::baked(style, &scene, done),
+        (_, told) => line(&told).iter().for_each(|line| say(line)),
+    }
+}
+
+/// A fault as the printer of errors takes it.
+fn error(fault: Fault) -> anyhow::Error {
+    let causes = fault.causes.into_iter().rev().map(anyhow::Error::msg).reduce(|cause, above| {
+        let above = above.to_string();
+        cause.context(above)
+    });
+    match causes {
+        Some(causes) => causes.context(fault.error),
+        None => anyhow::Error::msg(fault.error),
+    }
+}
+
+/// What a person reads of an event; nothing of one that concerns programs only.
+fn line(told: &Event) -> Option<String> {
+    let name = |path: &Path| path.display().to_string();
+    Some(match told {
+        Event::Watching { paths, scenes } => format!("watching {}: {}; Ctrl-C ends it", names(paths), count(*scenes)),
+        Event::Polling { folder, reason, seconds } => {
+            format!("note: {} is looked at every {seconds} s: {reason}", name(folder))
+        }
+        Event::Unwatched { path, reason } => format!("note: {} cannot be watched: {reason}", name(path)),
+        Event::Found { scene } => format!("{} is new", name(scene)),
+        Event::Changed { scene, files } if files.is_empty() => format!("{}: other settings", name(scene)),
+        Event::Changed { files, .. } => format!("changed: {}", names(files)),
+        Event::Removed { scene } => format!("{} has gone; its lightmap stays", name(scene)),
+        Event::Baking { scene } => name(scene),
+        Event::Overtaken { scene } => format!("  stopped: {} has changed meanwhile", name(scene)),
+        Event::Current { scene } => format!("{} is as it was when its lightmap was baked", name(scene)),
+        Event::Idle { failed, .. } if failed.is_empty() => "waiting for changes".into(),
+        Event::Idle { failed, .. } => format!("waiting for changes; not baked: {}", names(failed)),
+        Event::Stopped { .. } => "ended".into(),
+        Event::Unchanged { .. } | Event::Baked { .. } | Event::Failed { .. } => return None,
+    })
+}
+
+fn count(scenes: usize) -> String {
+    if scenes == 1 { "1 scene".into() } else { format!("{scenes} scenes") }
+}
+
+/// The first few paths of a list.
+fn names(paths: &[PathBuf]) -> String {
+    const MOST: usize = 3;
+    let some: Vec<String> = paths.iter().take(MOST).map(|p| p.display().to_string()).collect();
+    let more = paths.len().saturating_sub(MOST);
+    if more == 0 { some.join(", ") } else { format!("{} and {more} more", some.join(", ")) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_fault_keeps_its_causes_in_order() {
+        let fault = Fault { error: "a".into(), causes: vec!["b".into(), "c".into()] };
+        let chain: Vec<String> = error(fault).chain().map(ToString::to_string).collect();
+        assert_eq!(chain, ["a", "b", "c"]);
+        assert_eq!(error(Fault { error: "a".into(), causes: Vec::new() }).chain().count(), 1);
+    }
+
+    #[test]
+    fn long_lists_are_cut() {
+        let paths: Vec<PathBuf> = ["a", "b", "c", "d", "e"].map(PathBuf::from).into();
+        assert_eq!(names(&paths), "a, b, c and 2 more");
+        assert_eq!(names(&paths[..2]), "a, b");
+    }
+}

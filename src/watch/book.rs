@@ -1,0 +1,374 @@
+//! The scenes of a watch: what each was found to be, what its outputs were made from, and what follows from that.
+//!
+//! Nothing here remembers that something "has to be done". Whether a scene is to be baked follows from three looks: as
+//! it is now, as it was for the last good bake, and as it was when a bake failed. So no change can be lost, none is
+//! baked twice, and what is changed back is current again.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
+
+use luxel_export::OutputSet;
+use luxel_scene::InputFile;
+
+use super::Options;
+use super::depend::{Content, Digests, Look, named, sky};
+use super::event::{Event, Fault};
+use super::place::{Place, leads_to};
+use crate::discover::{self, Found, is_scene, is_searched};
+
+/// One scene.
+pub struct Item {
+    found: Found,
+    /// It exists, and a search finds it.
+    here: bool,
+    /// As it was seen last.
+    pub look: Look,
+    /// The paths it depends on, by the names under which events speak of them.
+    keys: BTreeMap<PathBuf, PathBuf>,
+    /// Where those are, or would appear.
+    folders: BTreeSet<PathBuf>,
+    /// What its last good bake read.
+    read: BTreeSet<PathBuf>,
+    /// What its outputs were made from.
+    baked: Option<Look>,
+    outputs: Vec<PathBuf>,
+    /// What could not be baked, and why.
+    failed: Option<(Look, Fault)>,
+    /// The higher, the later it has changed.
+    changed: u64,
+}
+
+impl Item {
+    /// It is to be baked as it is now.
+    fn is_wanted(&self) -> bool {
+        self.here && self.baked.as_ref() != Some(&self.look) && !self.is_broken()
+    }
+
+    /// It could not be baked as it is now.
+    fn is_broken(&self) -> bool {
+        self.here && self.failed.as_ref().is_some_and(|(look, _)| *look == self.look)
+    }
+}
+
+/// All scenes.
+pub struct Book {
+    options: Options,
+    items: BTreeMap<PathBuf, Item>,
+    digests: Digests,
+    /// The folders that searches enter, by their real paths.
+    tree: BTreeSet<PathBuf>,
+    /// Names of the named paths themselves, and where they are or would appear.
+    roots: Vec<Place>,
+    /// Everything whose removal, or that of a folder above it, matters.
+    anchors: BTreeSet<PathBuf>,
+    /// Folders that could not be searched, and why.
+    closed: BTreeMap<PathBuf, String>,
+    changes: u64,
+}
+
+impl Book {
+    pub fn new(options: Options) -> Self {
+        Self {
+            options,
+            items: BTreeMap::new(),
+            digests: Digests::default(),
+            tree: BTreeSet::new(),
+            roots: Vec::new(),
+            anchors: BTreeSet::new(),
+            closed: BTreeMap::new(),
+            changes: 0,
+        }
+    }
+
+    pub fn item(&self, scene: &Path) -> Option<&Item> {
+        self.items.get(scene)
+    }
+
+    /// How many scenes there are.
+    pub fn scenes(&self) -> usize {
+        self.items.values().filter(|i| i.here).count()
+    }
+
+    /// Scenes that cannot be baked as they are now.
+    pub fn failed(&self) -> Vec<PathBuf> {
+        self.items.iter().filter(|(_, i)| i.is_broken()).map(|(s, _)| s.clone()).collect()
+    }
+
+    /// The scene to be baked next: the one that has changed last, since somebody waits for it.
+    pub fn next(&self) -> Option<&Path> {
+        let wanted = self.items.iter().filter(|(_, i)| i.is_wanted());
+        // Of equals, the first in order.
+        wanted.rev().max_by_key(|(_, i)| i.changed).map(|(scene, _)| scene.as_path())
+    }
+
+    /// Folders to watch, by their real paths.
+    pub fn folders(&self) -> BTreeSet<PathBuf> {
+        let own = self.items.values().flat_map(|i| &i.folders);
+        own.chain(&self.tree).chain(self.roots.iter().map(|p| &p.folder)).cloned().collect()
+    }
+
+    /// Whether an event at this path can matter: cheap, since there are many of which none does.
+    pub fn concerns(&self, path: &Path) -> bool {
+        leads_to(path, &self.anchors) || self.may_be_new(path) || self.may_be_missed(path).next().is_some()
+    }
+
+    /// Scenes that depend on the file, and the path by which each knows it.
+    pub fn depending(&self, path: &Path) -> Vec<(PathBuf, PathBuf)> {
+        let known = self.items.iter().filter_map(|(s, i)| Some((s.clone(), i.keys.get(path)?.clone())));
+        known.collect()
+    }
+
+    /// Something that a search would find, or a folder that it would enter.
+    fn may_be_new(&self, path: &Path) -> bool {
+        let is_found = |path: &Path| is_scene(path) || path.is_dir() && is_searched(path, None);
+        path.parent().is_some_and(|folder| self.tree.contains(folder)) && is_found(path)
+    }
+
+    /// Scenes that miss something that may be this file under another spelling of its name.
+    fn may_be_missed<'a>(&'a self, path: &'a Path) -> impl Iterator<Item = &'a PathBuf> {
+        let here = move |i: &Item| path.parent().is_some_and(|p| i.folders.contains(p)) && i.look.lacks();
+        self.items.iter().filter(move |(_, i)| here(i)).map(|(scene, _)| scene)
+    }
+
+    /// Looks at whatever hinted paths concern: tells what has changed.
+    pub fn attend(&mut self, paths: &BTreeMap<PathBuf, bool>, everywhere: bool, tell: &mut dyn FnMut(Event)) {
+        let mut touched: BTreeMap<PathBuf, BTreeSet<PathBuf>> = BTreeMap::new();
+        let mut whole = everywhere;
+        for path in paths.keys() {
+            for (scene, file) in self.depending(path) {
+                self.digests.forget(&file);
+                touched.entry(scene).or_default().insert(file);
+            }
+            let missed: Vec<PathBuf> = self.may_be_missed(path).cloned().collect();
+            for scene in missed {
+                touched.entry(scene).or_default();
+            }
+            let known = !self.depending(path).is_empty();
+            whole |= !(known && path.is_file()) && (leads_to(path, &self.anchors) || self.may_be_new(path));
+        }
+        if whole {
+            self.survey(true, tell);
+        }
+        let scenes: Vec<PathBuf> =
+            if whole { self.items.keys().cloned().collect() } else { touched.keys().cloned().collect() };
+        for scene in scenes {
+            let differs = self.look(&scene, tell);
+            let files = touched.remove(&scene).unwrap_or_default();
+            if !differs && !files.is_empty() && self.items.get(&scene).is_some_and(|i| i.here) {
+                tell(Event::Unchanged { scene, files: files.into_iter().collect() });
+            }
+        }
+        self.index();
+    }
+
+    /// Searches for scenes. What is new is told if `news` says so.
+    pub fn survey(&mut self, news: bool, tell: &mut dyn FnMut(Event)) {
+        let out = self.options.out.as_ref().and_then(|o| o.canonicalize().ok());
+        (self.tree, self.roots) = Default::default();
+        let mut found: BTreeMap<PathBuf, Found> = BTreeMap::new();
+        let mut closed = BTreeMap::new();
+        for (path, is_folder) in &self.options.paths {
+            self.roots.extend(Place::all(path));
+            if !*is_folder {
+                if path.exists() {
+                    found.entry(path.clone()).or_insert(Found { scene: path.clone(), root: None });
+                }
+                continue;
+            }
+            match discover::below(path, out.as_deref()) {
+                Ok(below) => {
+                    self.tree.extend(below.folders.iter().filter_map(|f| f.canonicalize().ok()));
+                    for scene in below.scenes {
+                        found.entry(scene.clone()).or_insert(Found { scene, root: Some(path.clone()) });
+                    }
+                }
+                Err(_) if !path.exists() => {}
+                Err(error) => {
+                    let fault = Fault::new(&error);
+                    let reason = [&[fault.error][..], &fault.causes].concat().join(": ");
+                    // What was known of it stays.
+                    let known = self.items.values().filter(|i| i.here && i.found.root.as_ref() == Some(path));
+                    found.extend(known.map(|i| (i.found.scene.clone(), i.found.clone())));
+                    if self.closed.get(path) != Some(&reason) {
+                        tell(Event::Unwatched { path: path.clone(), reason: reason.clone() });
+                    }
+                    closed.insert(path.clone(), reason);
+                }
+            }
+        }
+        self.closed = closed;
+        self.leave_outputs_alone(&mut found);
+        self.register(found, news, tell);
+    }
+
+    /// A bake writes its .glb before the report by which a search knows it: what a known scene writes is none.
+    fn leave_outputs_alone(&self, found: &mut BTreeMap<PathBuf, Found>) {
+        let outputs: BTreeSet<PathBuf> =
+            self.items.values().filter_map(|i| Some(Place::of(&i.look.outputs.as_ref().ok()?.glb())?.key)).collect();
+        found.retain(|scene, f| f.root.is_none() || Place::of(scene).is_none_or(|p| !outputs.contains(&p.key)));
+    }
+
+    fn register(&mut self, found: BTreeMap<PathBuf, Found>, news: bool, tell: &mut dyn FnMut(Event)) {
+        for (scene, item) in &mut self.items {
+            if item.here && !found.contains_key(scene) {
+                item.here = false;
+                tell(Event::Removed { scene: scene.clone() });
+            }
+        }
+        for (scene, found) in found {
+            let known = self.items.get_mut(&scene);
+            let is_new = known.as_ref().is_none_or(|i| !i.here);
+            match known {
+                Some(item) => {
+                    // Who takes a scene away may take its outputs along.
+                    if is_new && !item.outputs.iter().all(|file| file.exists()) {
+                        item.baked = None;
+                    }
+                    (item.here, item.found) = (true, found);
+                }
+                None => drop(self.items.insert(scene.clone(), Item::new(found))),
+            }
+            if is_new {
+                self.look(&scene, &mut |_| {});
+            }
+            if is_new && news {
+                tell(Event::Found { scene });
+            } else if is_new && let Some(item) = self.items.get_mut(&scene) {
+                // Nobody waits for one of these more than for another.
+                item.changed = 0;
+            }
+        }
+        self.index();
+    }
+
+    /// Looks at a scene anew; tells and returns whether it differs from before.
+    fn look(&mut self, scene: &Path, tell: &mut dyn FnMut(Event)) -> bool {
+        let Some(look) = self.glance(scene) else { return false };
+        let Some(item) = self.items.get_mut(scene) else { return false };
+        item.find(&look, &self.options);
+        let before = std::mem::replace(&mut item.look, look);
+        let differs = before != item.look;
+        if differs && item.here {
+            self.changes += 1;
+            item.changed = self.changes;
+            tell(Event::Changed { scene: scene.into(), files: before.differences(&item.look) });
+            if item.failed.take_if(|(failed, _)| *failed != item.look).is_some()
+                && item.baked.as_ref() == Some(&item.look)
+            {
+                tell(Event::Current { scene: scene.into() });
+            }
+        }
+        differs
+    }
+
+    /// A scene as it is now, of which nothing is kept.
+    pub fn glance(&mut self, scene: &Path) -> Option<Look> {
+        let outputs = self.place(scene)?;
+        let item = self.items.get(scene)?;
+        let settings = self.options.choices.settings(scene);
+        let mut files = named(scene);
+        files.extend(item.read.iter().cloned());
+        files.extend(settings.as_ref().ok().and_then(sky));
+        let files = files.into_iter().map(|f| (self.digests.of(&f), f)).map(|(content, f)| (f, content)).collect();
+        Some(Look { files, settings: settings.map_err(|e| Fault::new(&e)), outputs })
+    }
+
+    /// A scene as it is now, after something happened at these of its files.
+    pub fn glance_after(&mut self, scene: &Path, files: &[PathBuf]) -> Option<Look> {
+        files.iter().for_each(|file| self.digests.forget(file));
+        self.glance(scene)
+    }
+
+    /// Where a scene's outputs go, if there is such a place and no other scene has it.
+    fn place(&self, scene: &Path) -> Option<Result<OutputSet, Fault>> {
+        let item = self.items.get(scene)?;
+        let set = OutputSet::new(scene, self.options.out.as_deref(), item.found.root.as_deref());
+        let set = match set {
+            Ok(set) => set,
+            Err(error) => return Some(Err(Fault::new(&error))),
+        };
+        let same = |i: &&Item| i.here && i.look.outputs.as_ref().is_ok_and(|o| *o == set);
+        let other = self.items.iter().find(|(s, i)| s.as_path() < scene && same(i));
+        Some(match other {
+            Some((other, _)) => {
+                let glb = set.glb();
+                let (other, glb) = (other.display(), glb.display());
+                let error = format!("{other} writes {glb} already: watch them with different --out");
+                Err(Fault { error, causes: Vec::new() })
+            }
+            None => Ok(set),
+        })
+    }
+
+    /// What events may speak of.
+    fn index(&mut self) {
+        let items = self.items.values();
+        let keys = items.flat_map(|i| i.keys.keys()).chain(&self.tree).chain(self.roots.iter().map(|p| &p.key));
+        self.anchors = keys.cloned().collect();
+        let named: BTreeSet<&PathBuf> = self.items.values().flat_map(|i| i.look.files.keys()).collect();
+        self.digests.retain(|path| named.contains(&path.to_path_buf()));
+    }
+
+    /// A bake of `look` has ended well, having read `inputs`.
+    pub fn succeeded(&mut self, scene: &Path, look: &Look, inputs: &[InputFile], outputs: Vec<PathBuf>) {
+        let Some(item) = self.items.get_mut(scene) else { return };
+        item.read = inputs.iter().map(|i| i.path.clone()).collect();
+        item.outputs = outputs;
+        item.failed = None;
+        let Some(now) = self.glance(scene) else { return };
+        let Some(item) = self.items.get_mut(scene) else { return };
+        // What it really read counts, which may be newer than what the look saw that began it.
+        let read = |path: &PathBuf| inputs.iter().find(|i| i.path == *path).map(|i| Content::Digest(i.digest));
+        let files = now
+            .files
+            .iter()
+            .map(|(path, content)| (path.clone(), read(path).or(look.files.get(path).copied()).unwrap_or(*content)));
+        let look = Look { files: files.collect(), ..look.clone() };
+        item.find(&look, &self.options);
+        // What has changed since then has its hints on their way.
+        (item.baked, item.look) = (Some(look.clone()), look);
+        self.index();
+    }
+
+    /// A scene cannot be baked as `look` saw it.
+    pub fn failed_as(&mut self, scene: &Path, look: Look, fault: Fault) {
+        if let Some(item) = self.items.get_mut(scene) {
+            item.failed = Some((look, fault));
+        }
+    }
+
+    /// Why a scene cannot be baked as it is now.
+    pub fn fault(&self, scene: &Path) -> Option<&Fault> {
+        self.items.get(scene).filter(|i| i.is_broken())?.failed.as_ref().map(|(_, fault)| fault)
+    }
+}
+
+impl Item {
+    fn new(found: Found) -> Self {
+        let nothing = Fault::default();
+        Self {
+            found,
+            here: true,
+            look: Look { files: BTreeMap::new(), settings: Err(nothing.clone()), outputs: Err(nothing) },
+            keys: BTreeMap::new(),
+            folders: BTreeSet::new(),
+            read: BTreeSet::new(),
+            baked: None,
+            outputs: Vec::new(),
+            failed: None,
+            changed: 0,
+        }
+    }
+
+    /// Finds out under which names events will speak of what a look saw.
+    fn find(&mut self, look: &Look, options: &Options) {
+        (self.keys, self.folders) = Default::default();
+        let settings = options.choices.file(&self.found.scene);
+        for path in look.files.keys().chain([&settings]) {
+            for place in Place::all(path) {
+                self.keys.insert(place.key, path.clone());
+                self.folders.insert(place.folder);
+            }
+        }
+    }
+}

@@ -1,0 +1,180 @@
+//! What a watch tells: an editor's plug-in, a preview, a person's terminal.
+//!
+//! As JSON, one object a line. Every object has `event` and the fields listed; paths are written as the command line
+//! named them or the folder that was scanned continues them. Readers pass over events and fields that they do not know.
+//!
+//! | `event` | fields | when |
+//! |---|---|---|
+//! | `watching` | `paths` [text], `scenes` number | once, at the start |
+//! | `polling` | `folder`, `reason`, `seconds` | a folder is looked at every so often, because nobody tells of changes in it |
+//! | `unwatched` | `path`, `reason` | a folder cannot be watched or read; luxel goes on with what it sees |
+//! | `found` | `scene` | a scene has come |
+//! | `changed` | `scene`, `files` [text] | files of a scene have other content than before; empty where its settings have changed alone |
+//! | `unchanged` | `scene`, `files` [text] | files were touched, and hold what they held |
+//! | `removed` | `scene` | a scene has gone; its outputs stay |
+//! | `baking` | `scene` | a bake begins |
+//! | `overtaken` | `scene` | a bake was stopped, because its files have changed meanwhile; another one follows |
+//! | `baked` | `scene`, `seconds`, `outputs` [text], `quality` {name: number}, `warnings` [{`code`, `message`}] | a bake has ended well; all its files are in place |
+//! | `failed` | `scene`, `error`, `causes` [text] | the scene cannot be baked as it is now; its last good outputs stay |
+//! | `current` | `scene` | a broken scene is again what its outputs were made from: nothing is baked |
+//! | `idle` | `scenes` number, `failed` [text] | everything is as current as it can be |
+//! | `stopped` | `scenes` number, `failed` [text] | the last one: the watch was asked to end |
+//!
+//! Between `baking` and what ends it, the tool also prints the events of its stages as `luxel bake --json` does
+//! (`started`, `progress`, `finished`).
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use luxel_export::report::Warning;
+use serde_json::{Value, json};
+
+/// Something that people or programs may want to know.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Event {
+    Watching { paths: Vec<PathBuf>, scenes: usize },
+    Polling { folder: PathBuf, reason: String, seconds: f64 },
+    Unwatched { path: PathBuf, reason: String },
+    Found { scene: PathBuf },
+    Changed { scene: PathBuf, files: Vec<PathBuf> },
+    Unchanged { scene: PathBuf, files: Vec<PathBuf> },
+    Removed { scene: PathBuf },
+    Baking { scene: PathBuf },
+    Overtaken { scene: PathBuf },
+    Baked { scene: PathBuf, done: Done },
+    Failed { scene: PathBuf, fault: Fault },
+    Current { scene: PathBuf },
+    Idle { scenes: usize, failed: Vec<PathBuf> },
+    Stopped { scenes: usize, failed: Vec<PathBuf> },
+}
+
+/// What a bake that ended well tells.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Done {
+    pub seconds: f64,
+    /// In the order of writing.
+    pub outputs: Vec<PathBuf>,
+    pub quality: BTreeMap<String, f64>,
+    pub warnings: Vec<Warning>,
+}
+
+/// Why a scene cannot be baked.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Fault {
+    pub error: String,
+    /// From the nearest on.
+    pub causes: Vec<String>,
+}
+
+impl Fault {
+    pub fn new(error: &dyn std::error::Error) -> Self {
+        let causes = std::iter::successors(error.source(), |e| e.source()).map(ToString::to_string);
+        Self { error: error.to_string(), causes: causes.collect() }
+    }
+}
+
+impl Event {
+    /// One line of the stream.
+    pub fn to_json(&self) -> Value {
+        match self {
+            Self::Watching { paths, scenes } => json!({ "event": "watching", "paths": texts(paths), "scenes": scenes }),
+            Self::Polling { folder, reason, seconds } => {
+                json!({ "event": "polling", "folder": text(folder), "reason": reason, "seconds": seconds })
+            }
+            Self::Unwatched { path, reason } => json!({ "event": "unwatched", "path": text(path), "reason": reason }),
+            Self::Found { scene } => of("found", scene),
+            Self::Changed { scene, files } => {
+                json!({ "event": "changed", "scene": text(scene), "files": texts(files) })
+            }
+            Self::Unchanged { scene, files } => {
+                json!({ "event": "unchanged", "scene": text(scene), "files": texts(files) })
+            }
+            Self::Removed { scene } => of("removed", scene),
+            Self::Baking { scene } => of("baking", scene),
+            Self::Overtaken { scene } => of("overtaken", scene),
+            Self::Baked { scene, done } => json!({
+                "event": "baked",
+                "scene": text(scene),
+                "seconds": done.seconds,
+                "outputs": texts(&done.outputs),
+                "quality": done.quality,
+                "warnings": done.warnings,
+            }),
+            Self::Failed { scene, fault } => {
+                json!({ "event": "failed", "scene": text(scene), "error": fault.error, "causes": fault.causes })
+            }
+            Self::Current { scene } => of("current", scene),
+            Self::Idle { scenes, failed } => json!({ "event": "idle", "scenes": scenes, "failed": texts(failed) }),
+            Self::Stopped { scenes, failed } => {
+                json!({ "event": "stopped", "scenes": scenes, "failed": texts(failed) })
+            }
+        }
+    }
+}
+
+fn of(event: &str, scene: &Path) -> Value {
+    json!({ "event": event, "scene": text(scene) })
+}
+
+/// A path that is not Unicode has no form in JSON: its other bytes are replaced.
+fn text(path: &Path) -> String {
+    path.display().to_string()
+}
+
+fn texts(paths: &[PathBuf]) -> Vec<String> {
+    paths.iter().map(|p| text(p)).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The lines of the table above: an event's name and its fields.
+    fn documented() -> BTreeMap<String, Vec<String>> {
+        let rows = include_str!("event.rs").lines().filter_map(|line| line.strip_prefix("//! | `"));
+        let names = |cell: &str| {
+            // What stands in braces describes the value of a field.
+            let plain = cell.split(['{', '}']).step_by(2).collect::<String>();
+            plain.split('`').skip(1).step_by(2).map(str::to_owned).collect::<Vec<_>>()
+        };
+        let row = |line: &str| {
+            let mut cells = line.split(" | ");
+            let event = cells.next()?.trim_end_matches('`').to_owned();
+            Some((event, names(cells.next()?)))
+        };
+        rows.filter_map(row).filter(|(event, _)| event != "event").collect()
+    }
+
+    #[test]
+    fn every_event_has_the_fields_that_are_documented() {
+        let (scene, files) = (PathBuf::from("a.glb"), vec![PathBuf::from("a.bin")]);
+        let fault = Fault::new(&crate::Error::Settings(
+            crate::settings::Layer::from_file(Path::new("no/such.toml")).unwrap_err(),
+        ));
+        assert!(fault.error.contains("no/such.toml") && fault.causes.len() == 1, "{fault:?}");
+        let all = [
+            Event::Watching { paths: files.clone(), scenes: 1 },
+            Event::Polling { folder: scene.clone(), reason: "nfs".into(), seconds: 2.0 },
+            Event::Unwatched { path: scene.clone(), reason: "no".into() },
+            Event::Found { scene: scene.clone() },
+            Event::Changed { scene: scene.clone(), files: files.clone() },
+            Event::Unchanged { scene: scene.clone(), files: files.clone() },
+            Event::Removed { scene: scene.clone() },
+            Event::Baking { scene: scene.clone() },
+            Event::Overtaken { scene: scene.clone() },
+            Event::Baked { scene: scene.clone(), done: Done::default() },
+            Event::Failed { scene: scene.clone(), fault },
+            Event::Current { scene },
+            Event::Idle { scenes: 1, failed: files.clone() },
+            Event::Stopped { scenes: 1, failed: files },
+        ];
+        let mut documented = documented();
+        for event in all {
+            let json = event.to_json();
+            let fields = documented.remove(json["event"].as_str().unwrap()).unwrap_or_else(|| panic!("{json}"));
+            let own: Vec<&String> = json.as_object().unwrap().keys().filter(|k| *k != "event").collect();
+            assert_eq!(own, fields.iter().collect::<Vec<_>>(), "{json}");
+        }
+        assert!(documented.is_empty(), "documented and never told: {documented:?}");
+    }
+}

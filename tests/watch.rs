@@ -1,0 +1,413 @@
+//! What `luxel watch` promises, by counting bakes and comparing what they wrote.
+
+mod tool;
+mod watching;
+
+use std::io::{BufRead, BufReader, Write};
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+use std::sync::mpsc::{Receiver, RecvTimeoutError};
+use std::time::Duration;
+
+use luxel::watch::event::Event;
+use serde_json::Value;
+use watching::*;
+
+/// Makes these bytes the content of a file.
+type Save = fn(&Path, &[u8]);
+
+/// How editors save.
+const PATTERNS: [(&str, Save); 6] = [
+    ("truncate and write", |path, bytes| std::fs::write(path, bytes).unwrap()),
+    ("truncate and write in pieces", |path, bytes| {
+        let mut file = std::fs::File::create(path).unwrap();
+        for piece in bytes.chunks(bytes.len() / 7) {
+            file.write_all(piece).unwrap();
+            file.sync_data().unwrap();
+        }
+    }),
+    ("write another and rename it", |path, bytes| {
+        let other = path.with_extension("tmp");
+        std::fs::write(&other, bytes).unwrap();
+        std::fs::rename(other, path).unwrap();
+    }),
+    ("write another elsewhere and rename it", |path, bytes| {
+        let other = path.parent().unwrap().join(".saving");
+        std::fs::create_dir_all(&other).unwrap();
+        std::fs::write(other.join("x"), bytes).unwrap();
+        std::fs::rename(other.join("x"), path).unwrap();
+    }),
+    ("delete and create", |path, bytes| {
+        std::fs::remove_file(path).unwrap();
+        std::fs::write(path, bytes).unwrap();
+    }),
+    ("rename to a backup, create, delete the backup", |path, bytes| {
+        let backup = path.with_extension("gltf~");
+        std::fs::rename(path, &backup).unwrap();
+        std::fs::write(path, bytes).unwrap();
+        std::fs::remove_file(backup).unwrap();
+    }),
+];
+
+fn every_pattern(poll: Option<Duration>) {
+    let mut bench = Bench::new(&["levels"], poll, |folder| furnish(folder, "levels/a"));
+    for (n, (name, save)) in PATTERNS.iter().enumerate() {
+        for file in ["levels/a.gltf", "levels/a.bin"] {
+            let before = bench.bakes();
+            let bytes = if file.ends_with("bin") { corners(n + 1) } else { gltf("a", n + 1).into_bytes() };
+            save(&bench.at(file), &bytes);
+            bench.baked("levels/a.gltf");
+            bench.settle(file);
+            assert_eq!(bench.bakes() - before, 1, "{name}, {file}");
+            bench.assert_current("levels/a.gltf");
+        }
+    }
+    assert!(bench.end().0.is_empty());
+}
+
+#[test]
+fn every_way_of_saving_bakes_once() {
+    every_pattern(None);
+}
+
+#[test]
+fn every_way_of_saving_bakes_once_where_folders_are_polled() {
+    every_pattern(Some(Duration::from_millis(50)));
+}
+
+#[test]
+fn a_touched_or_equal_file_bakes_nothing() {
+    let mut bench = Bench::new(&["a.gltf"], None, |folder| furnish(folder, "a"));
+    assert_eq!(bench.attempts(), 1);
+    bench.settle("a.gltf");
+    bench.settle("a.bin");
+    for (_, save) in PATTERNS {
+        save(&bench.at("a.gltf"), gltf("a", 0).as_bytes());
+        bench.settle("a.gltf");
+    }
+    assert_eq!(bench.attempts(), 1);
+    bench.end();
+}
+
+#[test]
+fn of_a_burst_the_last_state_is_baked_and_at_most_two_bakes_end() {
+    for poll in [None, Some(Duration::from_millis(50))] {
+        let mut bench = Bench::new(&["."], poll, |folder| furnish(folder, "a"));
+        bench.shut(true);
+        for n in 1..=50 {
+            PATTERNS[n % PATTERNS.len()].1(&bench.at("a.gltf"), gltf("a", n).as_bytes());
+        }
+        bench.shut(false);
+        bench.baked("a.gltf");
+        bench.settle("a.gltf");
+        assert!((2..=3).contains(&bench.bakes()), "{} with the first one", bench.bakes());
+        bench.assert_current("a.gltf");
+        bench.end();
+    }
+}
+
+#[test]
+fn a_change_during_a_bake_stops_it_and_one_more_follows() {
+    let mut bench = Bench::new(&["."], None, |folder| furnish(folder, "a"));
+    bench.shut(true);
+    std::fs::write(bench.at("a.bin"), corners(1)).unwrap();
+    bench.held();
+    // A touch does not stop it.
+    bench.heed("a.gltf");
+    std::fs::write(bench.at("a.bin"), corners(2)).unwrap();
+    bench.wait("overtaken", |e| matches!(e, Event::Overtaken { .. }));
+    bench.held();
+    bench.shut(false);
+    bench.baked("a.gltf");
+    bench.settle("a.bin");
+    assert_eq!((bench.attempts(), bench.bakes()), (3, 2));
+    bench.assert_current("a.gltf");
+    bench.end();
+}
+
+#[test]
+fn what_is_changed_back_during_a_bake_is_not_baked_again() {
+    let mut bench = Bench::new(&["."], None, |folder| furnish(folder, "a"));
+    bench.shut(true);
+    std::fs::write(bench.at("a.bin"), corners(1)).unwrap();
+    bench.held();
+    std::fs::write(bench.at("a.bin"), corners(0)).unwrap();
+    bench.wait("overtaken", |e| matches!(e, Event::Overtaken { .. }));
+    bench.shut(false);
+    bench.settle("a.bin");
+    assert_eq!(bench.bakes(), 1);
+    bench.assert_current("a.gltf");
+    bench.end();
+}
+
+#[test]
+fn one_scene_leaves_the_others_and_what_changed_last_comes_first() {
+    let names = ["a", "b/c", "b/d"];
+    let mut bench = Bench::new(&["."], None, |folder| names.iter().for_each(|n| furnish(folder, n)));
+    assert_eq!(bench.attempts(), 3);
+    std::fs::write(bench.at("b/d.bin"), corners(1)).unwrap();
+    bench.baked("b/d.gltf");
+    bench.settle("b/d.bin");
+    assert_eq!(bench.attempts(), 4);
+    bench.shut(true);
+    std::fs::write(bench.at("b/c.bin"), corners(1)).unwrap();
+    bench.held();
+    for name in ["a", "b/d"] {
+        std::fs::write(bench.at(&format!("{name}.bin")), corners(2)).unwrap();
+        bench.heed(&format!("{name}.gltf"));
+    }
+    bench.shut(false);
+    for name in ["b/c", "b/d", "a"] {
+        let wanted = bench.at(&format!("{name}.gltf"));
+        let event = bench.wait("baked", |e| matches!(e, Event::Baked { .. }));
+        assert!(matches!(&event, Event::Baked { scene, .. } if *scene == wanted), "{name}: {event:?}");
+    }
+    assert_eq!((bench.attempts(), bench.bakes()), (7, 7));
+    bench.end();
+}
+
+#[test]
+fn a_folder_that_goes_and_comes_back_is_watched_on() {
+    for poll in [None, Some(Duration::from_millis(50))] {
+        let mut bench = Bench::new(&["levels"], poll, |folder| furnish(folder, "levels/deep/a"));
+        let (levels, away) = (bench.at("levels"), bench.at("away"));
+        let is_removed = |e: &Event| matches!(e, Event::Removed { .. });
+        let is_found = |e: &Event| matches!(e, Event::Found { .. });
+        // With its outputs, and back as it was.
+        std::fs::rename(&levels, &away).unwrap();
+        bench.wait("removed", is_removed);
+        std::fs::rename(&away, &levels).unwrap();
+        bench.wait("found", is_found);
+        bench.idle();
+        bench.settle("levels/deep/a.bin");
+        assert_eq!(bench.attempts(), 1);
+        // And made anew.
+        std::fs::remove_dir_all(&levels).unwrap();
+        bench.wait("removed", is_removed);
+        furnish(bench.folder.path(), "levels/deep/a");
+        bench.baked("levels/deep/a.gltf");
+        bench.settle("levels/deep/a.gltf");
+        assert_eq!(bench.bakes(), 2);
+        std::fs::write(bench.at("levels/deep/a.bin"), corners(1)).unwrap();
+        bench.baked("levels/deep/a.gltf");
+        bench.settle("levels/deep/a.bin");
+        assert_eq!(bench.bakes(), 3);
+        bench.assert_current("levels/deep/a.gltf");
+        bench.end();
+    }
+}
+
+#[test]
+fn new_scenes_are_baked_and_deleted_ones_forgotten() {
+    for poll in [None, Some(Duration::from_millis(50))] {
+        // Nothing is there yet.
+        let mut bench = Bench::new(&["levels"], poll, |folder| std::fs::create_dir(folder.join("levels")).unwrap());
+        furnish(bench.folder.path(), "levels/new/deep/a");
+        bench.baked("levels/new/deep/a.gltf");
+        furnish(bench.folder.path(), "levels/b");
+        bench.baked("levels/b.gltf");
+        bench.settle("levels/b.gltf");
+        bench.settle("levels/new/deep/a.bin");
+        assert_eq!(bench.bakes(), 2);
+        std::fs::remove_file(bench.at("levels/b.gltf")).unwrap();
+        bench.wait("removed", |e| matches!(e, Event::Removed { .. }));
+        assert!(bench.at("levels/baked/b.glb").exists(), "its outputs stay");
+        // Its .gltf under another name is another scene.
+        std::fs::rename(bench.at("levels/new/deep/a.gltf"), bench.at("levels/new/deep/c.gltf")).unwrap();
+        bench.baked("levels/new/deep/c.gltf");
+        bench.settle("levels/new/deep/c.gltf");
+        assert_eq!(bench.bakes(), 3);
+        bench.end();
+    }
+}
+
+#[test]
+fn a_broken_scene_says_so_keeps_its_light_and_is_picked_up_again() {
+    let mut bench = Bench::new(&["a.gltf"], None, |folder| furnish(folder, "a"));
+    let good = std::fs::read(bench.at("baked/a.glb")).unwrap();
+    let failed = |bench: &mut Bench, part: &str| match bench.wait("failed", |e| matches!(e, Event::Failed { .. })) {
+        Event::Failed { fault, .. } => assert!(fault.error.contains(part), "{}", fault.error),
+        other => panic!("{other:?}"),
+    };
+    std::fs::write(bench.at("a.gltf"), "{\"asset\":").unwrap();
+    failed(&mut bench, "a.gltf");
+    assert_eq!(bench.idle(), [bench.at("a.gltf")]);
+    assert_eq!(std::fs::read(bench.at("baked/a.glb")).unwrap(), good);
+    let attempts = bench.attempts();
+    bench.settle("a.gltf");
+    assert_eq!(bench.attempts(), attempts, "a touch tries nothing again");
+    std::fs::write(bench.at("a.gltf"), gltf("a", 1)).unwrap();
+    bench.baked("a.gltf");
+
+    // Only a side file is missing, and comes back as it was, or as another one.
+    let bakes = bench.bakes();
+    std::fs::remove_file(bench.at("a.bin")).unwrap();
+    failed(&mut bench, "a.bin");
+    std::fs::write(bench.at("a.bin"), corners(0)).unwrap();
+    bench.wait("current", |e| matches!(e, Event::Current { .. }));
+    bench.settle("a.bin");
+    assert_eq!(bench.bakes(), bakes);
+    std::fs::remove_file(bench.at("a.bin")).unwrap();
+    failed(&mut bench, "a.bin");
+    std::fs::write(bench.at("a.bin"), corners(1)).unwrap();
+    bench.baked("a.gltf");
+    bench.settle("a.bin");
+    assert_eq!(bench.bakes(), bakes + 1);
+    bench.assert_current("a.gltf");
+
+    // A scene that is broken when the watch ends is named.
+    std::fs::write(bench.at("a.gltf"), "{").unwrap();
+    failed(&mut bench, "a.gltf");
+    let (failed, folder) = bench.end();
+    assert_eq!(failed, [folder.path().join("a.gltf")]);
+}
+
+#[test]
+fn a_buffer_may_come_after_its_scene_and_lie_in_a_folder_that_is_not_there_yet() {
+    let mut bench = Bench::new(&["a.gltf"], None, |folder| {
+        furnish(folder, "a");
+        std::fs::write(folder.join("a.gltf"), gltf("parts/deep/a", 0)).unwrap();
+    });
+    assert_eq!(bench.bakes(), 0);
+    std::fs::create_dir_all(bench.at("parts/deep")).unwrap();
+    std::fs::rename(bench.at("a.bin"), bench.at("parts/deep/a.bin")).unwrap();
+    bench.baked("a.gltf");
+    bench.settle("parts/deep/a.bin");
+    assert_eq!(bench.bakes(), 1);
+    bench.assert_current("a.gltf");
+    bench.end();
+}
+
+#[test]
+fn settings_count_by_their_values() {
+    let mut bench = Bench::new(&["a.gltf"], None, |folder| furnish(folder, "a"));
+    let settings = |bench: &Bench, text: &str| std::fs::write(bench.at("luxel.toml"), text).unwrap();
+    settings(&bench, "padding = 3");
+    bench.baked("a.gltf");
+    settings(&bench, "# three texels\npadding = 3\n");
+    bench.settle("luxel.toml");
+    assert_eq!(bench.bakes(), 2);
+    settings(&bench, "paddign = 3");
+    bench.wait("failed", |e| matches!(e, Event::Failed { fault, .. } if fault.error.contains("padding")));
+    assert_eq!(bench.attempts(), 2, "nothing is begun with settings that say nothing");
+    settings(&bench, "padding = 4");
+    bench.baked("a.gltf");
+    std::fs::remove_file(bench.at("luxel.toml")).unwrap();
+    bench.baked("a.gltf");
+    bench.settle("a.gltf");
+    assert_eq!(bench.bakes(), 4);
+    bench.end();
+}
+
+/// A running `luxel watch --json`.
+struct Tool {
+    child: Child,
+    events: Receiver<Value>,
+}
+
+impl Tool {
+    fn new(folder: &Path, args: &[&str]) -> Self {
+        let mut child = Command::new(env!("CARGO_BIN_EXE_luxel"))
+            .args([&["watch", "--json"], args, &tool::QUICK].concat())
+            .current_dir(folder)
+            .stdout(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let lines = BufReader::new(child.stdout.take().unwrap()).lines();
+        let (sender, events) = std::sync::mpsc::channel();
+        std::thread::spawn(move || {
+            lines.for_each(|line| drop(sender.send(serde_json::from_str(&line.unwrap()).unwrap())));
+        });
+        Self { child, events }
+    }
+
+    /// The next event of this name.
+    fn wait(&mut self, name: &str) -> Value {
+        loop {
+            match self.events.recv_timeout(tool::LIMIT) {
+                Ok(event) if event["event"] == name => return event,
+                Ok(_) => {}
+                Err(error) => panic!("no `{name}`: {error}"),
+            }
+        }
+    }
+
+    fn signal(&self, name: &str) {
+        assert!(Command::new("kill").args([name, &self.child.id().to_string()]).status().unwrap().success());
+    }
+
+    /// Its exit code, after the last event.
+    fn end(mut self) -> Option<i32> {
+        let rest = self.events.recv_timeout(tool::LIMIT);
+        assert_eq!(rest, Err(RecvTimeoutError::Disconnected), "nothing follows the last event");
+        self.child.wait().unwrap().code()
+    }
+}
+
+impl Drop for Tool {
+    fn drop(&mut self) {
+        // It has ended already, unless the test failed.
+        drop(self.child.kill());
+        drop(self.child.wait());
+    }
+}
+
+/// Names of all files, hidden ones too, that no scene and no bake has.
+fn litter(folder: &Path) -> Vec<String> {
+    let mut found = Vec::new();
+    for entry in std::fs::read_dir(folder).unwrap() {
+        let path = entry.unwrap().path();
+        if path.is_dir() && path.file_name().unwrap() != ".luxel" {
+            found.extend(litter(&path));
+        } else if path.extension().is_some_and(|e| e == "tmp") {
+            found.push(path.display().to_string());
+        }
+    }
+    found
+}
+
+#[cfg(unix)]
+#[test]
+fn the_tool_bakes_what_is_saved_and_ends_cleanly_in_the_middle_of_a_bake() {
+    for signal in ["-INT", "-TERM"] {
+        let folder = tool::folder(&["cornell.glb"]);
+        let mut tool = Tool::new(folder.path(), &["."]);
+        assert_eq!(tool.wait("watching")["scenes"], 1);
+        let first = tool.wait("baked");
+        assert_eq!((first["scene"].as_str(), first["outputs"].as_array().unwrap().len()), (Some("./cornell.glb"), 4));
+        assert_eq!(tool.wait("idle")["failed"], serde_json::json!([]));
+        let before = tool::Outputs::read(&folder.path().join("baked"), "cornell");
+
+        std::fs::write(folder.path().join("luxel.toml"), "light_scale = 1.0\nemissive_scale = 2.0").unwrap();
+        assert_eq!(tool.wait("changed")["files"], serde_json::json!([]));
+        tool.wait("baked");
+        let after = tool::Outputs::read(&folder.path().join("baked"), "cornell");
+        let mean = |o: &tool::Outputs| o.report["quality"]["mean_irradiance_lux"].as_f64().unwrap();
+        assert!((mean(&after) / mean(&before) - 2.0).abs() < 0.01, "twice the light");
+
+        // A bake that would take minutes is interrupted.
+        std::fs::write(folder.path().join("luxel.toml"), "refresh = 100000").unwrap();
+        while tool.wait("started")["stage"] != "refresh" {}
+        tool.signal(signal);
+        assert_eq!(tool.wait("stopped")["failed"], serde_json::json!([]));
+        assert_eq!(tool.end(), Some(0), "{signal}");
+        assert_eq!(litter(folder.path()), [""; 0]);
+        let last = tool::Outputs::read(&folder.path().join("baked"), "cornell");
+        assert_eq!(last.report, after.report, "the last whole bake is what is there");
+    }
+}
+
+#[cfg(unix)]
+#[test]
+fn the_tool_names_what_it_could_not_bake_and_refuses_what_it_cannot_watch() {
+    let folder = tool::folder(&["cornell.glb"]);
+    std::fs::write(folder.path().join("broken.glb"), "glTF but not for long").unwrap();
+    let mut tool = Tool::new(folder.path(), &["cornell.glb", "broken.glb", "--poll", "0.1"]);
+    assert!(tool.wait("polling")["reason"].as_str().unwrap().contains("--poll"));
+    assert_eq!(tool.wait("failed")["scene"], "broken.glb");
+    tool.signal("-INT");
+    assert_eq!(tool.wait("stopped")["failed"], serde_json::json!(["broken.glb"]));
+    assert_eq!(tool.end(), Some(1));
+    tool::luxel(&["watch", "nothing.glb"], folder.path()).ended(2);
+    tool::luxel(&["watch", "cornell.glb", "--poll", "0"], folder.path()).ended(2);
+}
