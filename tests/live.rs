@@ -12,6 +12,7 @@ use glam::{DAffine3, DQuat, DVec3};
 use image::Rgb;
 use luxel::live::{Bundle, Live, Options, Status};
 use luxel::settings::{Preset, Resolved, Settings, value::Texels};
+use luxel::watch::event::{Done, Event, Fault};
 use luxel::{Request, bake};
 use luxel_export::OutputSet;
 use luxel_scene::{Scene, Silent};
@@ -321,6 +322,34 @@ fn events_tell_how_scenes_stand_and_what_is_new() {
     let told = early.told().remove(0);
     assert_eq!((&told["status"]["error"], &told["status"]["causes"][0]), (&"broken".into(), &"no mesh".into()));
     assert_eq!(told["outputs"], second["outputs"], "the last good bake stays");
+}
+
+#[test]
+fn what_a_watch_tells_is_shown() {
+    let page = page();
+    let folder = tempfile::tempdir().unwrap();
+    let (scene, report) = baked(&cornell([17.0, 12.0, 4.0]), folder.path(), 32);
+    let live = start(page.path());
+    let mut listener = Listener::new(&live);
+    listener.told();
+    let done = Done { outputs: vec![folder.path().join("baked/level.glb"), report], ..Done::default() };
+    let fault = Fault { error: "broken".into(), causes: Vec::new() };
+    for (event, state, shows) in [
+        (Event::Found { scene: scene.clone() }, "waiting", false),
+        (Event::Baking { scene: scene.clone() }, "baking", false),
+        (Event::Baked { scene: scene.clone(), done }, "current", true),
+        (Event::Failed { scene: scene.clone(), fault }, "failed", true),
+        (Event::Current { scene: scene.clone() }, "current", true),
+        (Event::Removed { scene: scene.clone() }, "removed", true),
+    ] {
+        live.follow(&event).unwrap();
+        let told = listener.told();
+        assert_eq!((told.len(), &told[0]["status"]["state"]), (1, &state.into()), "{event:?}");
+        assert_eq!(told[0]["outputs"].is_object(), shows, "{event:?}");
+    }
+    live.follow(&Event::Idle { scenes: 1, failed: Vec::new() }).unwrap();
+    live.tell(&scene, Status::Waiting);
+    assert_eq!(listener.told()[0]["status"]["state"], "waiting", "of the others nothing is told");
 }
 
 #[test]

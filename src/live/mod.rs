@@ -40,6 +40,8 @@ pub use bundle::{Bundle, NOT_BUILT};
 use outputs::Outputs;
 use server::Shared;
 
+use crate::watch::event::Event;
+
 /// What a server is started with.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Options {
@@ -136,6 +138,37 @@ impl Live {
     /// The report cannot be read: pages go on showing what they show.
     pub fn changed(&self, scene: &Path, report: &Path) -> Result<(), LiveError> {
         self.shared.scenes.show(scene, Outputs::read(report)?);
+        Ok(())
+    }
+
+    /// Shows what a watch tells of a scene; of other events nothing is to be seen.
+    ///
+    /// # Errors
+    /// As [`Live::changed`].
+    pub fn follow(&self, event: &Event) -> Result<(), LiveError> {
+        match event {
+            Event::Baked { scene, done } => match done.outputs.last() {
+                // The report is written last.
+                Some(report) => self.changed(scene, report)?,
+                None => self.tell(scene, Status::Current),
+            },
+            Event::Found { scene } => self.tell(scene, Status::Waiting),
+            Event::Baking { scene } => self.tell(scene, Status::Baking),
+            Event::Current { scene } => self.tell(scene, Status::Current),
+            Event::Removed { scene } => self.tell(scene, Status::Removed),
+            Event::Failed { scene, fault } => {
+                self.tell(scene, Status::Failed { error: fault.error.clone(), causes: fault.causes.clone() });
+            }
+            // What follows from a change is told by the bake that it leads to.
+            Event::Overtaken { .. }
+            | Event::Changed { .. }
+            | Event::Unchanged { .. }
+            | Event::Watching { .. }
+            | Event::Polling { .. }
+            | Event::Unwatched { .. }
+            | Event::Idle { .. }
+            | Event::Stopped { .. } => {}
+        }
         Ok(())
     }
 
