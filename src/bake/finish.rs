@@ -45,15 +45,27 @@ pub fn run(
     }
     progress.advance(1);
     progress.check()?;
-    let value = move |i: usize| (!buried[i]).then(|| irradiance[i]);
+    let is_buried = &buried;
+    let value = move |i: usize| (!is_buried[i]).then(|| irradiance[i]);
     let (images, report) = finish(scene, atlas, value, &how)?;
-    let lightmaps = images.into_iter().map(lightmap).collect::<Result<_, _>>()?;
+    let places = places(atlas, &buried);
+    let lightmaps = images.into_iter().zip(places).map(|(i, p)| lightmap(i, p)).collect::<Result<_, _>>()?;
     progress.advance(1);
     Ok((lightmaps, bounds, report))
 }
 
-fn lightmap(image: Image) -> Result<Lightmap, Error> {
-    Ok(Lightmap::new(image.width, image.height, image.values, image.coverage)?)
+/// Where the buried texels of each page are, row-major.
+fn places(atlas: &Atlas, buried: &[bool]) -> Vec<Vec<usize>> {
+    let mut places = vec![Vec::new(); atlas.pages.len()];
+    for (texel, _) in atlas.texels.iter().zip(buried).filter(|(_, buried)| **buried) {
+        let page = atlas.chart(texel).page as usize;
+        places[page].push(usize::from(texel.y) * atlas.pages[page].width as usize + usize::from(texel.x));
+    }
+    places
+}
+
+fn lightmap(image: Image, buried: Vec<usize>) -> Result<Lightmap, Error> {
+    Ok(Lightmap::new(image.width, image.height, image.values, image.coverage)?.with_buried(buried)?)
 }
 
 fn bound_map(image: Image) -> Result<BoundMap, Error> {
