@@ -147,29 +147,36 @@ impl Live {
     /// As [`Live::changed`].
     pub fn follow(&self, event: &Event) -> Result<(), LiveError> {
         match event {
-            Event::Baked { scene, done } => match done.outputs.last() {
-                // The report is written last.
-                Some(report) => self.changed(scene, report)?,
-                None => self.tell(scene, Status::Current),
-            },
-            Event::Found { scene } => self.tell(scene, Status::Waiting),
+            Event::Baked { scene, done } => self.done(scene, &done.outputs)?,
+            Event::Current { scene, outputs } => self.done(scene, outputs)?,
+            // An overtaken bake need not be followed by another one.
+            Event::Found { scene } | Event::Overtaken { scene } => self.tell(scene, Status::Waiting),
             Event::Baking { scene } => self.tell(scene, Status::Baking),
-            Event::Current { scene } => self.tell(scene, Status::Current),
+            Event::Idle { .. } => self.shared.scenes.rest(),
             Event::Removed { scene } => self.tell(scene, Status::Removed),
             Event::Failed { scene, fault } => {
                 self.tell(scene, Status::Failed { error: fault.error.clone(), causes: fault.causes.clone() });
             }
             // What follows from a change is told by the bake that it leads to.
-            Event::Overtaken { .. }
-            | Event::Changed { .. }
+            Event::Changed { .. }
             | Event::Unchanged { .. }
+            | Event::Preview { .. }
             | Event::Watching { .. }
             | Event::Polling { .. }
             | Event::Unwatched { .. }
-            | Event::Idle { .. }
+            | Event::Unshown { .. }
             | Event::Stopped { .. } => {}
         }
         Ok(())
+    }
+
+    /// A scene is what these outputs were made from; the last of them is the report.
+    fn done(&self, scene: &Path, outputs: &[PathBuf]) -> Result<(), LiveError> {
+        let shown = outputs.last().map(|report| self.changed(scene, report)).transpose();
+        if !matches!(shown, Ok(Some(()))) {
+            self.tell(scene, Status::Current);
+        }
+        shown.map(|_| ())
     }
 
     /// Something else about a scene is new.

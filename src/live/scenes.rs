@@ -59,6 +59,24 @@ impl Scenes {
         self.edit(path, |scene| scene.status = status);
     }
 
+    /// Nothing is left to be done: what waits for a bake that does not come, or whose bake was stopped by a change that
+    /// was taken back, is what its outputs show.
+    pub fn rest(&self) {
+        let mut state = self.lock();
+        let revision = state.revision + 1;
+        let pending = |scene: &&mut Scene| matches!(scene.status, Status::Waiting | Status::Baking);
+        let mut rested = 0;
+        for scene in state.scenes.iter_mut().filter(|s| s.outputs.is_some()).filter(pending) {
+            (scene.status, scene.revision) = (Status::Current, revision);
+            rested += 1;
+        }
+        if rested > 0 {
+            state.revision = revision;
+            drop(state);
+            self.news.notify_all();
+        }
+    }
+
     pub fn close(&self) {
         self.lock().closing = true;
         self.news.notify_all();
