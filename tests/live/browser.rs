@@ -8,7 +8,7 @@ use std::time::Instant;
 
 use glam::{DAffine3, DQuat, DVec3};
 use image::Rgb;
-use luxel::live::Live;
+use luxel::live::{Live, Status};
 use serde_json::Value;
 
 use super::{baked, cornell, start};
@@ -96,8 +96,8 @@ fn the_page_shows_the_cornell_box_and_a_changed_lamp_without_being_loaded_again(
     // Where a person may look at what the browser saw.
     let shots = std::env::var_os("LUXEL_SHOTS").map_or_else(|| folder.path().to_path_buf(), PathBuf::from);
     let live = start(&sources().join("dist"));
-    let (scene, report) = baked(&cornell([17.0, 12.0, 4.0]), folder.path(), 256);
-    live.changed(&scene, &report).unwrap();
+    let (first, first_report) = baked(&cornell([17.0, 12.0, 4.0]), folder.path(), 256);
+    live.tell(&first, Status::Baking);
     // The same from within the high block, whose back sides are not drawn: one sees the floor on which it stands.
     let mut within = cornell([17.0, 12.0, 4.0]);
     let floor = DVec3::new(-0.0925, 0.0, -0.0725);
@@ -106,8 +106,11 @@ fn the_page_shows_the_cornell_box_and_a_changed_lamp_without_being_loaded_again(
     let other = folder.path().join("other");
     std::fs::create_dir(&other).unwrap();
     let (second, report) = baked(&within, &other, 64);
-    live.changed(&second, &report).unwrap();
+    // Who opens the page before anything was baked sees it as well.
     let mut browser = Browser::open(&live, &shots, tools);
+    browser.event("waiting");
+    live.changed(&first, &first_report).unwrap();
+    live.changed(&second, &report).unwrap();
     let shown = browser.event("shown");
     let (scene, report) = baked(&cornell([3.0, 9.0, 20.0]), folder.path(), 256);
     let changed = Instant::now();

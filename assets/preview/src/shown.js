@@ -7,8 +7,10 @@ import { Overtaken, bytes } from './feed.js';
 export class Shown {
   // `viewer` draws; `onShown` is told after something new is on show.
   constructor(viewer, onShown) {
-    Object.assign(this, { viewer, onShown, scene: null, wanted: null, busy: false });
+    Object.assign(this, { viewer, onShown, wanted: null, busy: false });
     this.pages = new Map();
+    // The scene on show, by its path: numbers begin anew with the server. And what of it is on show.
+    this.path = null;
     this.now = null;
     this.fromBytes = false;
   }
@@ -32,15 +34,16 @@ export class Shown {
 
   async update(scene) {
     const { outputs } = scene;
-    const isOther = this.scene !== scene.scene;
-    if (isOther) {
-      this.scene = scene.scene;
-      this.now = null;
+    const isOther = this.path !== scene.path;
+    if (isOther) this.now = null;
+    if (!outputs?.glb) {
+      // Another scene's level under this one's name would be a lie.
+      if (isOther) this.clear();
+      return this.onShown(scene, null);
     }
-    if (!outputs?.glb) return this.onShown(scene, null);
     const same = (what) => this.now !== null && outputs[what] !== null && this.now[what] === outputs[what];
     try {
-      const pages = await this.fetchPages(outputs.lightmaps, isOther);
+      const pages = await this.fetchPages(outputs.lightmaps);
       // New light fits what is on show: there it is, whatever else is still to come.
       if (same('layout')) this.swap(scene, pages, null);
       // The pictures within the .glb are others with every light, and on show only when they are asked for.
@@ -58,9 +61,10 @@ export class Shown {
     }
   }
 
-  async fetchPages(lightmaps, isOther) {
+  // Pages by their numbers. An address names content, so one that is the same need not be fetched again.
+  async fetchPages(lightmaps) {
     const fetched = lightmaps.map(async ({ page, texels }) => {
-      const old = isOther ? undefined : this.pages.get(page);
+      const old = this.pages.get(page);
       return [page, old?.address === texels ? old : { ...lightmapOf(await bytes(texels)), address: texels }];
     });
     return new Map(await Promise.all(fetched));
@@ -74,11 +78,20 @@ export class Shown {
     if (level) {
       this.viewer.show(level, !isOther);
       this.now = { glb: null, content: null };
+      this.path = scene.path;
     }
     this.now.layout = scene.outputs.layout;
     for (const [number, page] of old) if (pages.get(number) !== page) page.texture.dispose();
     this.viewer.draw();
     this.onDrawn?.(scene, level !== null, isOther);
+  }
+
+  // Shows nothing.
+  clear() {
+    this.viewer.clear();
+    this.pages.forEach((page) => page.texture.dispose());
+    this.pages.clear();
+    this.path = null;
   }
 
   // Light from the pictures within the .glb, or from the .exr.

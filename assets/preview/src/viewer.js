@@ -67,6 +67,13 @@ export class Viewer {
     this.wake();
   }
 
+  clear() {
+    if (this.level) this.scene.remove(this.level.root);
+    this.level?.dispose();
+    this.level = null;
+    this.wake();
+  }
+
   range() {
     const size = this.level.bounds.getSize(new Vector3()).length();
     this.camera.near = size / 2000;

@@ -1,6 +1,6 @@
 // Opens the page in a headless browser and looks at it: node browser.mjs URL FOLDER CHROMIUM
 //
-// Every line of the output is a JSON object. `shown` follows when each view was photographed into FOLDER; from then on
+// Every line of the output is a JSON object. `waiting` is told once the page knows a scene that was never baked; `shown` follows when each view was photographed into FOLDER; from then on
 // the program waits for another light, which `updated` reports as soon as it is drawn, and `done` follows when that was
 // photographed too. It ends with 1 where the page says that something is wrong.
 
@@ -24,6 +24,8 @@ const photograph = async (name) => {
 };
 
 await page.goto(url);
+await page.waitForFunction(() => document.getElementById('status').textContent.includes('waiting'), null, { timeout: 90_000 });
+tell('waiting');
 await page.waitForFunction(() => document.documentElement.dataset.revision, null, { timeout: 90_000 });
 await page.evaluate(() => { window.kept = 'since the beginning'; });
 for (const [i, view] of ['lit', 'lightmap', 'albedo', 'density', 'charts', 'invalid'].entries()) {
