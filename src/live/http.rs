@@ -45,6 +45,8 @@ pub enum Refusal {
     Missing,
     /// What was asked for has been replaced, or is being replaced now.
     Overtaken,
+    /// A lightmap with more texels than are decoded.
+    Large,
     Broken,
 }
 
@@ -63,6 +65,9 @@ impl Refusal {
             Self::Busy => ("503 Service Unavailable", "too many connections at once"),
             Self::Missing => ("404 Not Found", "there is nothing here"),
             Self::Overtaken => ("409 Conflict", "this file has been replaced; the next event names the new one"),
+            Self::Large => {
+                ("501 Not Implemented", "this lightmap is larger than the preview shows: 8192 texels squared")
+            }
             Self::Broken => ("500 Internal Server Error", "the file cannot be read"),
         }
     }

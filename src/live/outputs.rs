@@ -113,7 +113,7 @@ impl File {
         Ok((hasher.finalize().to_hex().as_str() == self.hash).then_some((file, length)))
     }
 
-    /// Its whole content; none while it is not what the report says.
+    /// Its whole content, of so many bytes at most; none while it is not what the report says.
     pub fn read(&self, most: u64) -> io::Result<Option<Vec<u8>>> {
         let bytes = small(&self.path, most)?;
         Ok((blake3::hash(&bytes).to_hex().as_str() == self.hash).then_some(bytes))
@@ -166,8 +166,11 @@ fn facts(report: &Report) -> Value {
 
 fn small(path: &Path, most: u64) -> io::Result<Vec<u8>> {
     let meta = fs::metadata(path)?;
-    if !meta.is_file() || meta.len() > most {
-        return Err(io::Error::other("this is no file, or a larger one than luxel writes"));
+    if !meta.is_file() {
+        return Err(io::Error::other("this is no file"));
+    }
+    if meta.len() > most {
+        return Err(io::ErrorKind::FileTooLarge.into());
     }
     fs::read(path)
 }
@@ -223,7 +226,7 @@ mod tests {
         std::fs::write(at("a.preview.png"), b"png").unwrap();
         assert_eq!(file.open().unwrap().unwrap().1, 3);
         assert_eq!(file.read(3).unwrap().unwrap(), b"png");
-        assert!(file.read(2).is_err(), "larger than asked for");
+        assert_eq!(file.read(2).unwrap_err().kind(), io::ErrorKind::FileTooLarge);
         std::fs::write(at("a.preview.png"), b"other").unwrap();
         assert!(file.open().unwrap().is_none() && file.read(99).unwrap().is_none());
         for bad in ["", "[]", "{\"schema\":1}"] {

@@ -10,7 +10,7 @@
 //! A thread serves a connection, which carries one request: a page asks for a dozen files in all, and there are few
 //! pages.
 
-use std::io::Write;
+use std::io::{ErrorKind, Write};
 use std::net::{TcpListener, TcpStream};
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -150,8 +150,15 @@ fn output(shared: &Shared, scene: usize, decoded: bool, file: usize, query: Opti
         return Ok(Answer::ok(file.content_type(), Body::File(opened, length)));
     }
     let _one = shared.decoding.lock().unwrap_or_else(PoisonError::into_inner);
-    let exr = file.read(texels::MAX_BYTES).map_err(|_| Refusal::Overtaken)?.ok_or(Refusal::Overtaken)?;
-    let texels = texels::decode(&exr).map_err(|_| Refusal::Broken)?;
+    let refusal = |error: std::io::Error| match error.kind() {
+        ErrorKind::FileTooLarge => Refusal::Large,
+        _ => Refusal::Overtaken,
+    };
+    let exr = file.read(texels::MAX_BYTES).map_err(refusal)?.ok_or(Refusal::Overtaken)?;
+    let texels = texels::decode(&exr).map_err(|fault| match fault {
+        texels::Fault::Large => Refusal::Large,
+        texels::Fault::Broken => Refusal::Broken,
+    })?;
     Ok(Answer::ok("application/octet-stream", Body::Bytes(texels)))
 }
 

@@ -11,7 +11,7 @@ use exr::prelude::{AnyChannel, FlatSamples, ReadChannels, ReadLayers, f16, read}
 use luxel_export::openexr::BURIED;
 use rayon::prelude::*;
 
-/// No more texels are decoded.
+/// No more texels are decoded: they fill 512 MiB, and more of a browser's memory.
 const MAX_TEXELS: usize = 1 << 26;
 /// A larger file holds more than that.
 pub const MAX_BYTES: u64 = 24 * MAX_TEXELS as u64;
@@ -21,21 +21,30 @@ const TEXEL: usize = 8;
 /// The largest number that is laid on a half float (the largest of all is 65504).
 const MAX_HALF: f32 = 60_000.0;
 
-/// The texels of an .exr that luxel wrote; what is wrong with it otherwise.
-pub fn decode(exr: &[u8]) -> Result<Vec<u8>, String> {
-    let meta = MetaData::read_from_buffered(Cursor::new(exr), false).map_err(|e| e.to_string())?;
+/// Why a lightmap is not decoded.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Fault {
+    /// It has more texels than are decoded.
+    Large,
+    /// It is no .exr, or not one that luxel writes.
+    Broken,
+}
+
+/// The texels of an .exr that luxel wrote.
+pub fn decode(exr: &[u8]) -> Result<Vec<u8>, Fault> {
+    let meta = MetaData::read_from_buffered(Cursor::new(exr), false).map_err(|_| Fault::Broken)?;
     let area = |size: exr::math::Vec2<usize>| size.0.checked_mul(size.1).filter(|area| *area <= MAX_TEXELS);
     if !meta.headers.iter().all(|h| h.channels.list.len() <= 8 && area(h.layer_size).is_some()) {
-        return Err("it is larger than any lightmap".into());
+        return Err(Fault::Large);
     }
     let image = read().no_deep_data().largest_resolution_level().all_channels().first_valid_layer().all_attributes();
-    let layer = image.from_buffered(Cursor::new(exr)).map_err(|e| e.to_string())?.layer_data;
+    let layer = image.from_buffered(Cursor::new(exr)).map_err(|_| Fault::Broken)?.layer_data;
     let (width, height) = (layer.size.0, layer.size.1);
     let channel = |name: &str| {
         let found = layer.channel_data.list.iter().find(|c| c.name.eq(name));
         found.filter(|c| c.sample_data.len() == width * height)
     };
-    let band = |name: &str| channel(name).ok_or_else(|| format!("it has no channel {name}"));
+    let band = |name: &str| channel(name).ok_or(Fault::Broken);
     let light = [band("R")?, band("G")?, band("B")?];
     let (cover, buried) = (band("A")?, channel(BURIED));
     let scale = scale(light);
@@ -133,6 +142,16 @@ mod tests {
     }
 
     #[test]
+    fn a_picture_beyond_the_limit_is_told_from_a_broken_one() {
+        let mut bytes = exr(vec![Vec3::ONE; 2], vec![1.0; 2]);
+        // The data window, whose last two numbers are the largest x and y.
+        let name = b"dataWindow\0box2i\0";
+        let window = bytes.windows(name.len()).position(|w| w == name).unwrap() + name.len() + 4;
+        bytes[window + 8..window + 16].copy_from_slice([16_383u32.to_le_bytes(); 2].as_flattened());
+        assert_eq!(decode(&bytes), Err(Fault::Large));
+    }
+
+    #[test]
     fn damage_is_an_error_and_no_panic() {
         let whole = exr(vec![Vec3::ONE; 2], vec![1.0; 2]);
         for cut in (0..whole.len()).step_by(3) {
@@ -144,6 +163,6 @@ mod tests {
             // Whether the change shows depends on where it is.
             let _ = decode(&bytes);
         }
-        assert!(decode(b"no exr").is_err());
+        assert_eq!(decode(b"no exr"), Err(Fault::Broken));
     }
 }

@@ -251,6 +251,12 @@ fn what_a_watch_tells_is_shown() {
         assert_eq!((told.len(), &told[0]["status"]["state"]), (1, &state.into()), "{event:?}");
         assert_eq!(told[0]["outputs"].is_object(), shows, "{event:?}");
     }
+    // What cannot be shown is an error, and the bake has ended well all the same.
+    let gone = Done { outputs: vec![folder.path().join("none.bake.json")], ..Done::default() };
+    let error = live.follow(&Event::Baked { scene: scene.clone(), done: gone }).unwrap_err();
+    assert!(error.to_string().contains("none.bake.json"), "{error}");
+    let told = listener.told();
+    assert!(told[0]["status"]["state"] == "current" && told[0]["outputs"].is_object(), "{told:?}");
     live.follow(&Event::Idle { scenes: 1, failed: Vec::new() }).unwrap();
     live.tell(&scene, Status::Waiting);
     assert_eq!(listener.told()[0]["status"]["state"], "waiting", "of the others nothing is told");

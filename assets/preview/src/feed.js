@@ -21,6 +21,6 @@ export class Overtaken extends Error {}
 export async function bytes(address) {
   const answer = await fetch(address);
   if (answer.status === 409) throw new Overtaken();
-  if (!answer.ok) throw new Error(`${address.split('?')[0]}: ${answer.status} ${answer.statusText}`);
+  if (!answer.ok) throw new Error(`${address.split('?')[0]}: ${(await answer.text()).trim() || answer.status}`);
   return answer.arrayBuffer();
 }

@@ -82,7 +82,7 @@ function describe() {
   if (state !== 'failed' && !facts) lines.push('waiting for its first bake');
   if (state === 'removed') lines.push('the scene file has gone');
   at('status').textContent = lines.join('\n');
-  trouble('scene', state === 'failed' ? [`${scene.name} cannot be baked as it is now; ${facts ? 'this is its last good bake' : 'it was not baked before'}`, error, ...causes].join('\n') : null);
+  trouble('scene', state === 'failed' ? [`${scene.name} cannot be baked as it is now${facts ? '; this is its last good bake' : ''}`, error, ...causes].join('\n') : null);
 }
 
 // What is wrong, by whom it concerns; the server's silence is told before a scene's fault.
