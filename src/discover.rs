@@ -170,6 +170,7 @@ mod tests {
             outputs: luxel_export::OutputSet::new(&scene, Some(&out), None).unwrap(),
             settings: crate::settings::Resolved { settings, ..Default::default() },
             worker: None,
+            store: Default::default(),
         };
         crate::bake(&request, &luxel_scene::Silent).unwrap();
         assert!(out.join("level.glb").exists());

@@ -107,7 +107,17 @@ impl Level {
 
     fn bake(&self) {
         let settings = for_scene(&self.at("s.gltf"), None, &Layer::new(Origin::CommandLine)).unwrap();
-        bake(&Request { scene: self.at("s.gltf"), outputs: self.outputs(), settings, worker: None }, &Silent).unwrap();
+        bake(
+            &Request {
+                scene: self.at("s.gltf"),
+                outputs: self.outputs(),
+                settings,
+                worker: None,
+                store: Default::default(),
+            },
+            &Silent,
+        )
+        .unwrap();
     }
 
     fn at(&self, name: &str) -> PathBuf {

@@ -262,6 +262,7 @@ fn a_whole_bake_and_its_plan() {
             outputs: OutputSet::new(&path, Some(folder.path()), None).expect("a place"),
             settings: Resolved { settings, ..Resolved::default() },
             worker: None,
+            store: Default::default(),
         };
         let laps = Laps::default();
         let before = heap::lap().0;
@@ -309,6 +310,7 @@ fn a_surfel_of_a_whole_bake() {
             outputs: OutputSet::new(&path, Some(&folder.path().join(side.to_string())), None).expect("a place"),
             settings: Resolved { settings, ..Resolved::default() },
             worker: None,
+            store: Default::default(),
         };
         let laps = Laps::default();
         let baked = with_laps(&laps, || luxel::bake(&request, &laps).expect("a bake"));

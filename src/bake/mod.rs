@@ -25,6 +25,7 @@ use luxel_transport::{geometry::Geometry, rays::Rays};
 use crate::Error;
 use crate::plan::{Plan, Stage};
 use crate::settings::{Resolved, Settings};
+use crate::store::StoreOptions;
 use journal::Journal;
 use light::Parts;
 pub use light::TexelLight;
@@ -41,6 +42,8 @@ pub struct Request {
     /// The `luxel` binary, as whose child meshes are unwrapped, so that a crash of the unwrapper costs a chart and not
     /// the bake. Without it they are unwrapped within this process.
     pub worker: Option<PathBuf>,
+    /// Where artefacts of its stages are kept for later bakes.
+    pub store: StoreOptions,
 }
 
 /// A finished bake. Its light lies in its files; [`bake_scene`] hands it over instead.
@@ -266,7 +269,7 @@ mod tests {
         let mut settings = Resolved { settings: Settings::preset(Preset::Draft), ..Resolved::default() };
         settings.settings.size = Texels(32);
         settings.settings.voxels = Voxels::Budget(500);
-        Request { scene, outputs, settings, worker: None }
+        Request { scene, outputs, settings, worker: None, store: StoreOptions::default() }
     }
 
     #[test]

@@ -5,6 +5,9 @@ use std::time::Duration;
 
 use clap::{Arg, ArgMatches, Args, Command, FromArgMatches, Parser, Subcommand, error::ErrorKind};
 use luxel::settings::{FIELDS, Layer, Origin, Settings};
+use luxel::store::StoreOptions;
+
+use super::amount;
 
 const ABOUT: &str = "Bakes light into glTF levels: lightmaps, no GPU, no editor.";
 
@@ -79,6 +82,35 @@ Events of --json, one object per line, with their fields:
 Ctrl-C ends it, after the running bake has stopped; a second one ends it at once.
 Exit codes: 0 ended, 1 ended with scenes that could not be baked, 2 wrong usage, 130 ended by a second Ctrl-C.";
 
+const CACHING: &str = "\
+A bake keeps the result of every stage under the digest of all that it follows from, so that the next one makes only
+what has changed. Everything in a store can be made again: removing it costs time and nothing else. A bake keeps its
+store below --store-cap by itself, sparing what was used within an hour as long as it is below twice that.
+
+Examples:
+  luxel cache stat                              the stores below this folder
+  luxel cache stat levels/ --json               for programs
+  luxel cache verify level.glb                  the store beside its outputs in baked/
+  luxel cache gc levels/ --cap 2GiB --older 30d
+  luxel cache gc --store /srv/luxel --cap 50GiB a store that machines share
+  luxel cache gc --cap 0                        empties the stores below this folder
+
+gc removes, first, what is damaged or of an earlier luxel's format, what nobody has used for --older, and temporary
+files of killed bakes when they are older than an hour; then the least recently used results beyond --cap. It may run
+while others bake: what they miss they make again. Other files in a store's folder are never touched.
+
+Events of --json, one object per line, with their fields; sizes in bytes, times in seconds since 1970:
+  stat       store, total, kinds, leftovers, old   each with files, bytes, oldest, newest (times of last use)
+  outdated   store, file, reason                   of verify: in another luxel's format
+  bad        store, file, reason                   of verify: damaged
+  verified   store, sound, outdated, bad           numbers of files
+  collected  store, evicted, bad, outdated, leftovers, left, failed   each with files, bytes; failed holds file, reason
+  failed     store, error, causes                  it cannot be looked through
+  done       stores, failed, bad                   the last event: numbers
+  usage      error, causes                         the last event of a command line that could not be followed
+
+Exit codes: 0 done, 1 verify found something damaged, or a store could not be read or cleaned, 2 wrong usage.";
+
 /// Shortest and longest time between looks [s].
 const POLL: std::ops::RangeInclusive<f64> = 0.05..=86_400.0;
 
@@ -99,6 +131,9 @@ pub enum Task {
     Watch(Watch),
     /// Say which stages a bake would run, reuse or leave out, why, and how much memory it would take.
     Plan(Bake),
+    /// Look after the stores that bakes keep for the next ones: how much they hold, whether it is sound, what may go.
+    #[command(after_help = CACHING)]
+    Cache(Cache),
     /// Print every setting with its effect, unit and default, in the form of a luxel.toml.
     Defaults,
     /// Unwrap meshes for a bake in another process.
@@ -113,6 +148,26 @@ pub struct Bake {
     /// Folder for the outputs; subfolders of a scanned folder are mirrored [default: baked/ beside each scene]
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
+    #[command(flatten)]
+    pub storing: Storing,
+}
+
+/// Which store is used.
+#[derive(Clone, Debug, Args)]
+pub struct Storing {
+    /// Folder in which results of stages are kept for the next bake, which scenes, processes and machines may share
+    /// [default: .luxel/ beside the outputs]
+    #[arg(long, value_name = "DIR")]
+    pub store: Option<PathBuf>,
+    /// How much the store may hold: least recently used results go when a bake is over (64MiB, 2.5GiB, 10GB)
+    #[arg(long, value_name = "SIZE", default_value = "4GiB", value_parser = amount::size)]
+    pub store_cap: u64,
+}
+
+impl Storing {
+    pub fn options(&self) -> StoreOptions {
+        StoreOptions { folder: self.store.clone(), cap: self.store_cap }
+    }
 }
 
 #[derive(Debug, Args)]
@@ -140,6 +195,56 @@ pub struct Watch {
     /// Port of the preview's page [default: 0, any that is free]
     #[arg(long, requires = "preview")]
     pub port: Option<u16>,
+}
+
+#[derive(Debug, Args)]
+pub struct Cache {
+    #[command(subcommand)]
+    pub task: CacheTask,
+}
+
+#[derive(Debug, Subcommand)]
+pub enum CacheTask {
+    /// How much the stores hold, by stage, and when it was last used.
+    Stat(Places),
+    /// Read everything and name what is damaged; changes nothing. Exit code 1 when something is.
+    Verify(Places),
+    /// Remove what is of no use any more: damaged, outdated, long unused, and what killed bakes left.
+    Gc(Gc),
+}
+
+impl Cache {
+    pub fn places(&self) -> &Places {
+        match &self.task {
+            CacheTask::Stat(places) | CacheTask::Verify(places) | CacheTask::Gc(Gc { places, .. }) => places,
+        }
+    }
+}
+
+/// The stores that are meant.
+#[derive(Debug, Args)]
+pub struct Places {
+    /// Scenes, for the store beside their outputs in baked/, or folders, for all stores below [default: .]
+    #[arg(value_name = "PATH")]
+    pub paths: Vec<PathBuf>,
+    /// A store that was named to bakes by --store
+    #[arg(long, value_name = "DIR")]
+    pub store: Option<PathBuf>,
+    /// One JSON object per line on standard output
+    #[arg(long)]
+    pub json: bool,
+}
+
+#[derive(Debug, Args)]
+pub struct Gc {
+    #[command(flatten)]
+    pub places: Places,
+    /// How much each store may hold: least recently used results go (64MiB, 2.5GiB, 10GB; 0 empties it)
+    #[arg(long, value_name = "SIZE", default_value = "4GiB", value_parser = amount::size)]
+    pub cap: u64,
+    /// Remove results that nobody has used for this time (90s, 45m, 12h, 30d, 2w)
+    #[arg(long, value_name = "TIME", value_parser = amount::time)]
+    pub older: Option<Duration>,
 }
 
 fn interval(text: &str) -> Result<Duration, String> {

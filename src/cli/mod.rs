@@ -1,6 +1,8 @@
 //! The command line: reads it, bakes scene by scene, tells what happened, and ends with the exit code of the contract.
 
+mod amount;
 mod args;
+mod cache;
 mod print;
 mod progress;
 mod watch;
@@ -43,11 +45,18 @@ pub fn main() -> ExitCode {
             error.exit()
         }
     };
-    let json = matches!(&cli.task, Task::Bake(Baking { bake: args, .. }) | Task::Plan(args) | Task::Watch(Watch { bake: args, .. }) if args.common.json);
+    let json = match &cli.task {
+        Task::Bake(Baking { bake: args, .. }) | Task::Plan(args) | Task::Watch(Watch { bake: args, .. }) => {
+            args.common.json
+        }
+        Task::Cache(args) => args.places().json,
+        Task::Defaults | Task::UnwrapWorker => false,
+    };
     let code = match cli.task {
         Task::Bake(args) => bake(&args),
         Task::Plan(args) => plan(&args),
         Task::Watch(args) => watch::watch(&args),
+        Task::Cache(args) => cache::cache(&args),
         Task::Defaults => {
             progress::out(&luxel::settings::documented_defaults());
             Ok(DONE)
@@ -134,7 +143,7 @@ fn listen(handler: impl FnMut() + Send + 'static) -> Result<(), ctrlc::Error> {
 }
 
 fn bake(args: &Baking) -> anyhow::Result<u8> {
-    let Bake { common, out } = &args.bake;
+    let Bake { common, out, storing } = &args.bake;
     let task = prepare(common, out.as_deref())?;
     let places = places(&task.found, out.as_deref())?;
     let worker = std::env::current_exe().ok();
@@ -152,7 +161,8 @@ fn bake(args: &Baking) -> anyhow::Result<u8> {
         if args.check {
             return Ok(End::Stale);
         }
-        let request = Request { scene: found.scene.clone(), outputs, settings, worker: worker.clone() };
+        let request =
+            Request { scene: found.scene.clone(), outputs, settings, worker: worker.clone(), store: storing.options() };
         let baked = luxel::bake(&request, reporter)?;
         reporter.finish();
         print::baked(task.style, &found.scene, Finished::from(baked).done);

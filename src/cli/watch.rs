@@ -20,6 +20,7 @@ pub fn watch(args: &Watch) -> anyhow::Result<u8> {
         out: args.bake.out.clone(),
         choices: Choices { config: common.config.clone(), flags: common.settings.0.clone() },
         worker: std::env::current_exe().ok(),
+        store: args.bake.storing.options(),
     };
     let style = Style::choose(common.json, common.quiet);
     let watch = watch::Watch::new(options, args.poll);

@@ -412,7 +412,7 @@ mod tests {
         let flags = Layer::new(Origin::CommandLine);
         let choices = super::super::Choices { config: None, flags };
         let paths = vec![(folder.path().to_path_buf(), true)];
-        let mut book = Book::new(Options { paths, out: None, choices, worker: None });
+        let mut book = Book::new(Options { paths, out: None, choices, worker: None, store: Default::default() });
         let [a, b] = ["a.glb", "b.glb"].map(|name| folder.path().join(name));
         [&a, &b].iter().for_each(|path| std::fs::write(path, "x").unwrap());
         book.survey(false, &mut |_| {});

@@ -34,6 +34,7 @@ use std::time::Duration;
 
 use luxel_scene::InputFile;
 
+use crate::store::StoreOptions;
 use crate::{Baked, Error, Request};
 pub use batch::Hint;
 pub use depend::Choices;
@@ -51,6 +52,8 @@ pub struct Options {
     pub choices: Choices,
     /// As in a [`Request`].
     pub worker: Option<PathBuf>,
+    /// As in a [`Request`].
+    pub store: StoreOptions,
 }
 
 impl Options {

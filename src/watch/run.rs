@@ -23,6 +23,7 @@ use super::folders::Folders;
 use super::source::Watched;
 use super::{Baker, Ending, Finished, Message, Task, Watch};
 use crate::current::{self, State};
+use crate::store::StoreOptions;
 use crate::{Error, Request};
 
 /// An error that nothing has contradicted for this time is told.
@@ -37,13 +38,14 @@ const ROUNDS: usize = 8;
 pub fn run(watch: Watch, baker: &dyn Baker, tell: &mut dyn FnMut(Event)) -> Ending {
     let Watch { options, interval, source, sender, receiver } = watch;
     let paths = options.paths.iter().map(|(path, _)| path.clone()).collect();
-    let worker = options.worker.clone();
+    let (worker, store) = (options.worker.clone(), options.store.clone());
     std::thread::scope(|scope| {
         let mut course = Course {
             scope,
             baker,
             sender,
             worker,
+            store,
             interval,
             start: Instant::now(),
             book: Book::new(options),
@@ -93,6 +95,7 @@ struct Course<'s, 'e, 't> {
     baker: &'e dyn Baker,
     sender: Sender<Message>,
     worker: Option<PathBuf>,
+    store: StoreOptions,
     interval: Duration,
     start: Instant,
     book: Book,
@@ -248,7 +251,8 @@ impl Course<'_, '_, '_> {
         };
         match (look.settings.clone(), look.outputs.clone()) {
             (Ok(settings), Ok(outputs)) => {
-                let request = Request { scene, outputs, settings, worker: self.worker.clone() };
+                let request =
+                    Request { scene, outputs, settings, worker: self.worker.clone(), store: self.store.clone() };
                 if !self.adopt(&request, &look) {
                     self.bake(request, look);
                 }

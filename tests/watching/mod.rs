@@ -52,6 +52,7 @@ impl Bench {
             out: None,
             choices: Choices { config: None, flags: Layer::new(Origin::CommandLine) },
             worker: None,
+            store: Default::default(),
         };
         let watch = Watch::new(options, poll);
         let (stopper, log) = (watch.stopper(), Arc::<(Mutex<Log>, Condvar)>::default());

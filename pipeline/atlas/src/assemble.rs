@@ -47,22 +47,66 @@ pub fn assemble(
     unwraps: &Unwraps,
     progress: &dyn Progress,
 ) -> Result<(Atlas, AtlasReport), AtlasError> {
-    settings.check()?;
-    let blocks = blocks::blocks(scene, layout, unwraps)?;
-    let name = |instance: u32| scene.instances[instance as usize].name.clone();
-    let placement = place::place(&blocks, settings, &name, progress)?;
-    progress.begin("texels", blocks.len() as u64);
-    let seeds = Seeds::new(scene, layout);
-    let side = settings.size;
-    let mut atlas = Atlas {
-        pages: vec![Page { width: side, height: side }; placement.pages as usize],
-        placed: placed(scene, layout, unwraps, &blocks, &placement, side),
-        ..Atlas::default()
-    };
-    rasterise(&blocks, &placement.places, &seeds, progress, &mut atlas)?;
-    let mut report = report(scene, layout, unwraps, settings, &atlas, &placement);
-    report.enough = place::enough(&blocks, &placement, settings);
-    Ok((atlas, report))
+    let packing = Packing::new(scene, settings, layout, unwraps)?;
+    let placement = packing.place(progress)?;
+    packing.fill(&placement, progress)
+}
+
+/// The charts of a scene, measured and ready to be placed.
+pub struct Packing<'a> {
+    scene: &'a Scene,
+    settings: &'a AtlasSettings,
+    layout: &'a Layout,
+    unwraps: &'a Unwraps,
+    blocks: Vec<Block>,
+}
+
+impl<'a> Packing<'a> {
+    /// # Errors
+    /// Settings out of range, an unwrap that is missing or belongs to another mesh.
+    pub fn new(
+        scene: &'a Scene,
+        settings: &'a AtlasSettings,
+        layout: &'a Layout,
+        unwraps: &'a Unwraps,
+    ) -> Result<Self, AtlasError> {
+        settings.check()?;
+        Ok(Self { scene, settings, layout, unwraps, blocks: blocks::blocks(scene, layout, unwraps)? })
+    }
+
+    /// Finds a place for every chart: the long part.
+    ///
+    /// # Errors
+    /// Charts that fit nowhere, cancellation.
+    pub fn place(&self, progress: &dyn Progress) -> Result<Placement, AtlasError> {
+        let name = |instance: u32| self.scene.instances[instance as usize].name.clone();
+        place::place(&self.blocks, self.settings, &name, progress)
+    }
+
+    /// Whether a placement is one of these charts on these pages; to be asked of one that was stored.
+    pub fn is_placed_by(&self, placement: &Placement) -> bool {
+        placement.fits(&self.blocks, self.settings)
+    }
+
+    /// Rasterises the placed charts.
+    ///
+    /// # Errors
+    /// Cancellation.
+    pub fn fill(&self, placement: &Placement, progress: &dyn Progress) -> Result<(Atlas, AtlasReport), AtlasError> {
+        let Self { scene, settings, layout, unwraps, blocks } = self;
+        progress.begin("texels", blocks.len() as u64);
+        let seeds = Seeds::new(scene, layout);
+        let side = settings.size;
+        let mut atlas = Atlas {
+            pages: vec![Page { width: side, height: side }; placement.pages as usize],
+            placed: placed(scene, layout, unwraps, blocks, placement, side),
+            ..Atlas::default()
+        };
+        rasterise(blocks, &placement.places, &seeds, progress, &mut atlas)?;
+        let mut report = report(scene, layout, unwraps, settings, &atlas, placement);
+        report.enough = place::enough(blocks, placement, settings);
+        Ok((atlas, report))
+    }
 }
 
 /// Fills in charts and texels, a wave of blocks at a time.

@@ -8,8 +8,8 @@
 //! | rasterise | `texels` | placed charts → [`Texel`]s with coverage |
 //! | finish | [`mod@finish`] with `canvas`, `seams` | values per texel → dilated, stitched images |
 //!
-//! [`build`] goes from the scene to the atlas; [`Layout::complete`] and [`assemble`] are its two halves, for
-//! callers that keep unwraps.
+//! [`build`] goes from the scene to the atlas; [`Layout::complete`] and [`Packing`] are its parts, for callers that
+//! keep unwraps and placements.
 //!
 //! This room knows nothing of light and opens no file.
 
@@ -36,12 +36,13 @@ pub mod unwrap;
 pub mod worker;
 mod xatlas;
 
-pub use assemble::{assemble, build};
+pub use assemble::{Packing, assemble, build};
 pub use atlas::{Atlas, Chart, Page, Placed, Texel};
 pub use charts::Charts;
 pub use finish::{FinishError, FinishReport, FinishSettings, Image, finish};
 pub use layout::{Layout, Source, Unwraps};
 pub use mesh::mesh_key;
+pub use place::Placement;
 pub use settings::{AtlasError, AtlasReport, AtlasSettings, MAX_SIZE};
 pub use unwrap::{InProcess, UnwrapError, Unwrapper};
 pub use worker::{Worker, worker_main};

@@ -13,6 +13,7 @@ use std::cell::RefCell;
 use std::ops::Range;
 
 use luxel_scene::Progress;
+use serde::{Deserialize, Serialize};
 
 use crate::AtlasError;
 use crate::blocks::Block;
@@ -26,7 +27,7 @@ const BRACKET: f64 = 4.0;
 const STEPS: u32 = 9;
 
 /// A block's rectangle: lower corner on its page, padding left out, size before turning.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(crate) struct Place {
     pub page: u32,
     pub x: u32,
@@ -35,23 +36,48 @@ pub(crate) struct Place {
     pub turn: u8,
 }
 
-#[derive(Clone, Debug, Default)]
-pub(crate) struct Placement {
+/// Where every chart of a scene lies: an artefact of its own, that of the search for the density.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Placement {
     /// One per block.
-    pub places: Vec<Place>,
-    pub pages: u32,
+    pub(crate) places: Vec<Place>,
+    pub(crate) pages: u32,
     /// Texels per scene unit that every block has which is not lowered.
-    pub density: f64,
+    pub(crate) density: f64,
     /// Groups with blocks whose density had to be lowered to fit on a page, and to what.
-    pub lowered: Vec<(u32, f64)>,
+    pub(crate) lowered: Vec<(u32, f64)>,
     /// Texels taken, padding included.
-    pub occupied: u64,
+    pub(crate) occupied: u64,
     /// Sums over the blocks: area in the world [scene units², times texel scale²], and texels by the block's density.
     area: f64,
     texels: f64,
 }
 
 impl Placement {
+    /// Whether it is one of these blocks on pages of these settings: to be asked of what comes from a file. That no two
+    /// places overlap is not looked at.
+    pub(crate) fn fits(&self, blocks: &[Block], settings: &AtlasSettings) -> bool {
+        let sound = [self.density, self.area, self.texels].iter().all(|x| x.is_finite() && *x >= 0.0);
+        let inside = |place: &Place| {
+            let [w, h] = if place.turn.is_multiple_of(2) { place.size } else { [place.size[1], place.size[0]] };
+            let end = |at: u32, length: u32| u64::from(at) + u64::from(length) + u64::from(settings.padding);
+            place.page < self.pages
+                && place.turn < 4
+                && place.x.min(place.y) >= settings.padding
+                && w.min(h) > 0
+                && end(place.x, w).max(end(place.y, h)) <= u64::from(settings.size)
+        };
+        // Where an object lies on two pages, its vertices would be those of one.
+        let page = |i: usize| self.places[i].page;
+        let together = |run: Range<usize>| run.clone().all(|i| page(i) == page(run.start));
+        sound
+            && self.places.len() == blocks.len()
+            && self.pages <= settings.max_pages
+            && self.places.iter().all(inside)
+            && groups(blocks).into_iter().all(together)
+            && self.lowered.iter().all(|(_, density)| density.is_finite() && *density > 0.0)
+    }
+
     /// Texels per scene unit in the mean over the area.
     pub fn reached(&self) -> f64 {
         if self.lowered.is_empty() || self.area <= 0.0 { self.density } else { (self.texels / self.area).sqrt() }

@@ -57,6 +57,7 @@ impl Builder {
             receives: true,
             casts: true,
             texel_scale: 1.0,
+            group: name.into(),
         });
         self.scene.instances.len() - 1
     }
@@ -139,7 +140,7 @@ impl Builder {
 
     pub fn light(&mut self, name: &str, kind: LightKind, intensity: Vec3) {
         let node = self.scene.instances.len() + self.scene.lights.len();
-        self.scene.lights.push(Light { name: name.into(), node, kind, intensity });
+        self.scene.lights.push(Light { name: name.into(), node, group: name.into(), kind, intensity });
     }
 
     /// Direct access for what the shapes above do not cover.

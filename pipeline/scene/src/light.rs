@@ -1,5 +1,7 @@
 //! KHR_lights_punctual, given a size where the artist wants soft shadows.
 
+use std::sync::Arc;
+
 use glam::{DVec3, Vec3};
 
 /// A light that is not geometry.
@@ -8,6 +10,8 @@ pub struct Light {
     pub name: String,
     /// glTF node index.
     pub node: usize,
+    /// Light group: the extra `luxel_group`, else the name of its node.
+    pub group: Arc<str>,
     pub kind: LightKind,
     /// Linear RGB: luminous intensity [cd] of point and spot lights, illuminance [lux] of a sun.
     pub intensity: Vec3,

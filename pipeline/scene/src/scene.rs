@@ -2,6 +2,7 @@
 
 use glam::{DAffine3, DVec3, Vec2, Vec3, Vec4};
 use std::path::PathBuf;
+use std::sync::Arc;
 
 use crate::{Light, Material, Sky, Surface, Texture};
 
@@ -61,6 +62,8 @@ pub struct Instance {
     pub casts: bool,
     /// Factor on the lightmap's texel density (1 = as the rest).
     pub texel_scale: f32,
+    /// Light group of its emission: the extra `luxel_group`, else the name of its node.
+    pub group: Arc<str>,
 }
 
 #[derive(Clone, Debug)]

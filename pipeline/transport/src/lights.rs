@@ -60,10 +60,17 @@ impl Emitters {
 
     /// Only the lights of the sources that `keep` accepts. Their contributions add up to those of the whole.
     pub fn only(&self, keep: impl Fn(Source) -> bool) -> Self {
+        self.weighted(|source| keep(source).then_some(Rgb::ONE))
+    }
+
+    /// The lights of the sources that have a weight, every band of theirs times it.
+    pub fn weighted(&self, weight: impl Fn(Source) -> Option<Rgb>) -> Self {
+        let lamp = |l: &Lamp| Some(Lamp { intensity: l.intensity * weight(l.source)?, ..l.clone() });
+        let sun = |l: &SunLight| Some(SunLight { illuminance: l.illuminance * weight(l.source)?, ..l.clone() });
         Self {
-            areas: self.areas.iter().filter(|l| keep(l.source)).cloned().collect(),
-            lamps: self.lamps.iter().filter(|l| keep(l.source)).cloned().collect(),
-            suns: self.suns.iter().filter(|l| keep(l.source)).cloned().collect(),
+            areas: self.areas.iter().filter_map(|l| Some(l.weighted(weight(l.source)?))).collect(),
+            lamps: self.lamps.iter().filter_map(lamp).collect(),
+            suns: self.suns.iter().filter_map(sun).collect(),
             scale: self.scale,
         }
     }
@@ -134,6 +141,8 @@ mod tests {
         assert!((emitters.power() - expected).abs().max_element() < 1e-4 * expected.max_element());
         let panel = emitters.only(|s| s == Source::Instance(0));
         assert_eq!((panel.areas.len(), panel.lamps.len()), (1, 0));
+        let red = emitters.weighted(|s| (s != Source::Instance(0)).then_some(Vec3::new(0.5, 0.0, 0.0)));
+        assert!((red.power() - DVec3::new(20.0 * pi, 0.0, 0.0)).abs().max_element() < 1e-4);
     }
 
     #[test]

@@ -84,6 +84,12 @@ impl Document {
         place("node", node, self.root.nodes.get(node).and_then(|n| n.name.as_deref()))
     }
 
+    /// The node's own name, or its place where it has none.
+    pub fn node_name(&self, node: usize) -> String {
+        let name = self.root.nodes.get(node).and_then(|n| n.name.clone());
+        name.filter(|name| !name.is_empty()).unwrap_or_else(|| self.node_place(node))
+    }
+
     /// `mesh 3 "Wall"`.
     pub fn mesh_place(&self, mesh: usize) -> String {
         place("mesh", mesh, self.root.meshes.get(mesh).and_then(|m| m.name.as_deref()))

@@ -73,7 +73,9 @@ pub fn read(
         }
     };
     let name = light.get("name").and_then(Value::as_str).map_or_else(|| at.clone(), str::to_owned);
-    Ok(Some(Light { name, node: visit.node, kind, intensity }))
+    let group = visit.keys.group.clone().or(own.group).or_else(|| visit.extras.group.clone());
+    let group = group.unwrap_or_else(|| document.node_name(visit.node).into());
+    Ok(Some(Light { name, node: visit.node, group, kind, intensity }))
 }
 
 /// −Z of the node in the world, a unit vector.

@@ -51,9 +51,9 @@ pub fn walk(document: &Document, notes: &mut Notes) -> Checked<Vec<Visit>> {
             extras: extras.with(&keys),
             keys,
         };
-        let below = (visit.world, visit.animated, visit.hidden, visit.extras);
+        let below = (visit.world, visit.animated, visit.hidden, visit.extras.clone());
         let children = node.children.as_deref().unwrap_or_default();
-        stack.extend(children.iter().rev().map(|c| (c.value(), below.0, below.1, below.2, below.3)));
+        stack.extend(children.iter().rev().map(|c| (c.value(), below.0, below.1, below.2, below.3.clone())));
         visits.push(visit);
     }
     Ok(visits)

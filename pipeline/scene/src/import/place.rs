@@ -97,7 +97,7 @@ impl<'a> Placer<'a> {
         let extras = {
             let own = Keys::read(&source.extras, &document.mesh_place(mesh), notes);
             // The node's own keys win over those of its mesh, those over inherited ones.
-            visit.extras.with(&own).with(&visit.keys)
+            visit.extras.clone().with(&own).with(&visit.keys)
         };
         if extras.ignore {
             return Ok(());
@@ -112,7 +112,8 @@ impl<'a> Placer<'a> {
             true => self.posed(mesh, node, weights, notes)?,
             false => self.shared(mesh, notes)?,
         };
-        let name = node.name.clone().filter(|n| !n.is_empty()).unwrap_or_else(|| document.node_place(visit.node));
+        let name = document.node_name(visit.node);
+        let group = extras.group.clone().unwrap_or_else(|| name.as_str().into());
         for (gpu_instance, world) in transforms {
             let world = if node.skin.is_some() { DAffine3::IDENTITY } else { world };
             for &mesh in &meshes {
@@ -125,6 +126,7 @@ impl<'a> Placer<'a> {
                     receives: extras.receive,
                     casts: extras.cast,
                     texel_scale: extras.scale,
+                    group: group.clone(),
                 };
                 self.place(instance, notes)?;
             }

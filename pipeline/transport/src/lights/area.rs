@@ -40,6 +40,13 @@ impl AreaLight {
         self.corners().iter().sum::<Vec3>() / f32::from(self.count)
     }
 
+    /// The same light, every band of it times a weight.
+    pub(super) fn weighted(&self, weight: Rgb) -> Self {
+        let weigh =
+            |table: &RadianceTable| Box::new(RadianceTable { parts: table.parts.map(|p| p.map(|l| l * weight)) });
+        Self { radiance: self.radiance * weight, table: self.table.as_deref().map(weigh), ..self.clone() }
+    }
+
     /// Luminous flux [lm] of all lit sides.
     pub fn power(&self, scale: f64) -> DVec3 {
         let sides = if self.two_sided { 2.0 } else { 1.0 };

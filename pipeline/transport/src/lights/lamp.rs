@@ -139,7 +139,7 @@ mod tests {
     use luxel_scene::light::{range_window, spot_falloff};
 
     fn lamp(kind: LightKind) -> Lamp {
-        let light = Light { name: "l".into(), node: 0, kind, intensity: Vec3::ONE };
+        let light = Light { name: "l".into(), node: 0, group: "l".into(), kind, intensity: Vec3::ONE };
         let frame = Frame { center: DVec3::ZERO, scale: 4.0 };
         Lamp::new(&light, Vec3::ONE, &frame, Source::Light(0), 1).unwrap()
     }

@@ -161,6 +161,7 @@ pub fn import(original: &Original) -> Scene {
                         receives: true,
                         casts: true,
                         texel_scale: 1.0,
+                        group: "group".into(),
                     });
                 }
             }

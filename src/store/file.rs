@@ -51,6 +51,8 @@ pub enum Miss {
     Absent,
     #[error("it cannot be read: {0}")]
     Unreadable(io::Error),
+    #[error("{0} lies in its place")]
+    NoFile(&'static str),
     #[error("it is no luxel file of this kind")]
     Foreign,
     #[error("it has format version {found}, this luxel writes {expected}")]
@@ -150,11 +152,7 @@ pub fn read<T>(
     key: &Key,
     decode: impl FnOnce(&mut Reader) -> Result<T, String>,
 ) -> Result<T, Miss> {
-    let mut file = File::open(path).map_err(|e| match e.kind() {
-        io::ErrorKind::NotFound => Miss::Absent,
-        _ => Miss::Unreadable(e),
-    })?;
-    let (stated, checksum) = open(&mut file, format, key)?;
+    let (file, stated, checksum) = open(path, format, key)?;
     let file = BufReader::with_capacity(BUFFER, file);
     let mut body = Reader { file, hasher: blake3::Hasher::new(), left: stated };
     let decoded = decode(&mut body);
@@ -173,8 +171,24 @@ pub fn read<T>(
     Ok(decoded)
 }
 
-/// Checks the header; returns the length of the body and its checksum.
-fn open(file: &mut File, format: Format, key: &Key) -> Result<(u64, [u8; 32]), Miss> {
+/// Whether a file is what it has to be, without decoding it; returns the length of its body [bytes].
+pub fn verify(path: &Path, format: Format, key: &Key) -> Result<u64, Miss> {
+    read(path, format, key, |body| io::copy(body, &mut io::sink()).map_err(|e| e.to_string()))
+}
+
+/// Opens a file at its body and checks the header; returns the length of the body and its checksum too.
+fn open(path: &Path, format: Format, key: &Key) -> Result<(File, u64, [u8; 32]), Miss> {
+    let missed = |e: io::Error| match e.kind() {
+        // A file may lie where a folder of the path would.
+        io::ErrorKind::NotFound | io::ErrorKind::NotADirectory => Miss::Absent,
+        _ => Miss::Unreadable(e),
+    };
+    // Whoever opens a pipe waits for somebody at its other end.
+    let meta = std::fs::metadata(path).map_err(missed)?;
+    if !meta.is_file() {
+        return Err(Miss::NoFile(if meta.is_dir() { "a folder" } else { "something that is no file" }));
+    }
+    let mut file = File::open(path).map_err(missed)?;
     let size = file.metadata().map_err(Miss::Unreadable)?.len();
     if size < HEADER as u64 {
         return Err(Miss::Torn { stated: HEADER as u64, found: size });
@@ -200,7 +214,7 @@ fn open(file: &mut File, format: Format, key: &Key) -> Result<(u64, [u8; 32]), M
     if stated > format.limit {
         return Err(Miss::TooLarge(stated));
     }
-    Ok((stated, checksum))
+    Ok((file, stated, checksum))
 }
 
 fn header(format: Format, key: &Key, length: u64, checksum: &blake3::Hash) -> Vec<u8> {
@@ -303,7 +317,7 @@ mod tests {
         assert!(matches!(get(&path, OCTREE, &[8; 32]), Err(Miss::OtherKey)));
         let small = Format { limit: 3, ..OCTREE };
         assert!(matches!(get(&path, small, &KEY), Err(Miss::TooLarge(_))));
-        assert!(get(folder.path(), OCTREE, &KEY).is_err());
+        assert!(matches!(get(folder.path(), OCTREE, &KEY), Err(Miss::NoFile("a folder"))));
     }
 
     #[test]
