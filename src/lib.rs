@@ -29,6 +29,7 @@ mod content;
 pub mod current;
 pub mod discover;
 mod error;
+pub mod live;
 pub mod plan;
 pub mod preview;
 pub mod settings;

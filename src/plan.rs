@@ -77,8 +77,8 @@ impl Stage {
     pub fn version(self) -> u32 {
         match self {
             Self::Propagate => 4,
-            Self::Surfels | Self::Shoot | Self::Direct | Self::Gather => 3,
-            Self::Unwrap | Self::Refresh | Self::Sky | Self::Finish | Self::Export => 2,
+            Self::Surfels | Self::Shoot | Self::Direct | Self::Gather | Self::Finish => 3,
+            Self::Unwrap | Self::Refresh | Self::Sky | Self::Export => 2,
             Self::Import | Self::Rays | Self::Cache | Self::Clear | Self::Preview => 1,
         }
     }
@@ -381,7 +381,7 @@ const CHARTED: u64 = 16;
 /// Per texel: the stated bound, and its page.
 const BOUND: u64 = 8;
 /// Per pixel of a page: what is beside the texels while it is finished.
-const PIXEL: u64 = 14;
+const PIXEL: u64 = 15;
 /// Times that the bytes of the scene's files exist when they are written again: as read, laid out, and as a .glb.
 const COPIES: u64 = 3;
 /// The picture and what else does not grow with the scene.

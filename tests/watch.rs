@@ -3,14 +3,13 @@
 mod tool;
 mod watching;
 
-use std::io::{BufRead, BufReader, Write};
+use std::io::Write;
 use std::path::Path;
-use std::process::{Child, Command, Stdio};
-use std::sync::mpsc::{Receiver, RecvTimeoutError};
+use std::process::Command;
 use std::time::Duration;
 
 use luxel::watch::event::Event;
-use serde_json::Value;
+use tool::watcher::Tool;
 use watching::*;
 
 /// Makes these bytes the content of a file.
@@ -429,64 +428,6 @@ fn a_scene_that_is_broken_at_the_start_and_then_what_was_baked_is_current() {
     assert!(bench.idle().is_empty());
     assert_eq!(bench.attempts(), 1);
     bench.end();
-}
-
-/// A running `luxel watch --json`.
-struct Tool {
-    child: Child,
-    events: Receiver<Value>,
-}
-
-impl Tool {
-    fn new(folder: &Path, args: &[&str]) -> Self {
-        Self::start(Command::new(env!("CARGO_BIN_EXE_luxel")), folder, args)
-    }
-
-    /// With a command that runs luxel with the arguments that it is given.
-    fn start(mut command: Command, folder: &Path, args: &[&str]) -> Self {
-        let mut child = command
-            .args([&["watch", "--json"], args, &tool::QUICK].concat())
-            .current_dir(folder)
-            .stdout(Stdio::piped())
-            .spawn()
-            .unwrap();
-        let lines = BufReader::new(child.stdout.take().unwrap()).lines();
-        let (sender, events) = std::sync::mpsc::channel();
-        std::thread::spawn(move || {
-            lines.for_each(|line| drop(sender.send(serde_json::from_str(&line.unwrap()).unwrap())));
-        });
-        Self { child, events }
-    }
-
-    /// The next event of this name.
-    fn wait(&mut self, name: &str) -> Value {
-        loop {
-            match self.events.recv_timeout(tool::LIMIT) {
-                Ok(event) if event["event"] == name => return event,
-                Ok(_) => {}
-                Err(error) => panic!("no `{name}`: {error}"),
-            }
-        }
-    }
-
-    fn signal(&self, name: &str) {
-        assert!(Command::new("kill").args([name, &self.child.id().to_string()]).status().unwrap().success());
-    }
-
-    /// Its exit code, after the last event.
-    fn end(mut self) -> Option<i32> {
-        let rest = self.events.recv_timeout(tool::LIMIT);
-        assert_eq!(rest, Err(RecvTimeoutError::Disconnected), "nothing follows the last event");
-        self.child.wait().unwrap().code()
-    }
-}
-
-impl Drop for Tool {
-    fn drop(&mut self) {
-        // It has ended already, unless the test failed.
-        drop(self.child.kill());
-        drop(self.child.wait());
-    }
 }
 
 /// Names of all files, hidden ones too, that no scene and no bake has.

@@ -129,6 +129,8 @@ fn write(out: &mut impl Write, summary: &Summary, lightmaps: &[Lightmap], bounds
     for lightmap in lightmaps {
         put_slice(out, lightmap.irradiance())?;
         put_slice(out, lightmap.coverage())?;
+        let buried = (0u32..).zip(lightmap.buried()).filter(|(_, buried)| **buried).map(|(i, _)| i);
+        put_slice(out, &buried.collect::<Vec<u32>>())?;
     }
     bounds.iter().try_for_each(|bound| put_slice(out, bound.bound()))
 }
@@ -141,7 +143,10 @@ fn read(body: &mut Reader, atlas: &Atlas) -> Result<Finished, String> {
     }
     let lightmap = |page: &luxel_atlas::Page, body: &mut Reader| {
         let (irradiance, coverage) = (slice(body)?, slice(body)?);
-        Lightmap::new(page.width, page.height, irradiance, coverage).map_err(|e| e.to_string())
+        let buried: Vec<u32> = slice(body)?;
+        Lightmap::new(page.width, page.height, irradiance, coverage)
+            .and_then(|lightmap| lightmap.with_buried(buried.into_iter().map(|i| i as usize)))
+            .map_err(|e| e.to_string())
     };
     let lightmaps = atlas.pages.iter().map(|page| lightmap(page, body)).collect::<Result<_, String>>()?;
     let bound = |page: &luxel_atlas::Page, body: &mut Reader| {
@@ -181,15 +186,27 @@ fn images(
     }
     progress.advance(1);
     progress.check()?;
-    let value = move |i: usize| (!buried[i]).then(|| irradiance[i]);
+    let is_buried = &buried;
+    let value = move |i: usize| (!is_buried[i]).then(|| irradiance[i]);
     let (images, report) = finish(scene, atlas, value, &how)?;
-    let lightmaps = images.into_iter().map(lightmap).collect::<Result<_, _>>()?;
+    let places = places(atlas, &buried);
+    let lightmaps = images.into_iter().zip(places).map(|(i, p)| lightmap(i, p)).collect::<Result<_, _>>()?;
     progress.advance(1);
     Ok((lightmaps, bounds, report))
 }
 
-fn lightmap(image: Image) -> Result<Lightmap, Error> {
-    Ok(Lightmap::new(image.width, image.height, image.values, image.coverage)?)
+/// Where the buried texels of each page are, row-major.
+fn places(atlas: &Atlas, buried: &[bool]) -> Vec<Vec<usize>> {
+    let mut places = vec![Vec::new(); atlas.pages.len()];
+    for (texel, _) in atlas.texels.iter().zip(buried).filter(|(_, buried)| **buried) {
+        let page = atlas.chart(texel).page as usize;
+        places[page].push(usize::from(texel.y) * atlas.pages[page].width as usize + usize::from(texel.x));
+    }
+    places
+}
+
+fn lightmap(image: Image, buried: Vec<usize>) -> Result<Lightmap, Error> {
+    Ok(Lightmap::new(image.width, image.height, image.values, image.coverage)?.with_buried(buried)?)
 }
 
 fn bound_map(image: Image) -> Result<BoundMap, Error> {

@@ -21,6 +21,7 @@ Examples:
   luxel bake levels/ --check                    bakes nothing; exit code 3 when a lightmap is not current
   luxel plan level.glb                          what would run, and why
   luxel watch levels/                           bakes, and again whatever is saved
+  luxel watch level.glb --preview               the same, shown in the browser
 
 A scene is left alone when its report says that it was baked from the same bytes, with the same settings, by the same
 luxel, and when all its outputs are as they were written; --force bakes it all the same.
@@ -51,11 +52,17 @@ Examples:
   luxel watch level.glb --preset draft          lightmap anew after every save
   luxel watch levels/ --out lit/                every scene below a folder
   luxel watch //server/levels --poll 5          looks every 5 seconds: for drives that tell of no changes
+  luxel watch level.glb --preview               serves a page that shows the level and every new lightmap
   luxel watch level.glb --json                  for programs: one event per line
 
 Network drives and folders that the system cannot watch are looked at every 2 seconds without being asked for.
 
+The page of --preview is for browsers on this machine: it comes from 127.0.0.1 and shows outputs of bakes, nothing else.
+It shows the level lit, its lightmap alone, albedo, texel density, charts and invalid texels (keys 1 to 6). It is part
+of a luxel that was built after it was (npm ci && npm run build in assets/preview); without it, luxel says so and bakes.
+
 Events of --json, one object per line, with their fields:
+  preview    url, notice             with --preview: its address, and what is missing, or null
   watching   paths, scenes           once, at the start
   polling    folder, reason, seconds nobody tells of changes there, so it is looked at
   unwatched  path, reason            it cannot be watched or searched
@@ -67,7 +74,8 @@ Events of --json, one object per line, with their fields:
   overtaken  scene                   stopped, because its files changed; another bake follows unless they changed back
   baked      scene, seconds, outputs, quality, warnings
   failed     scene, error, causes    its last good outputs stay
-  current    scene                   as when it was baked: at the start, or again after it was broken
+  current    scene, outputs          as when it was baked: at the start, or again after it was broken
+  unshown    scene, error, causes    the preview cannot show its outputs
   idle       scenes, failed          everything is as current as it can be
   stopped    scenes, failed          the last event
 
@@ -181,6 +189,12 @@ pub struct Watch {
     /// Look for changes every so many seconds instead of being told: for network drives
     #[arg(long, value_name = "SECONDS", value_parser = interval)]
     pub poll: Option<Duration>,
+    /// Show lightmaps in the browser, as they are baked: serves a page on this machine, for this machine
+    #[arg(long)]
+    pub preview: bool,
+    /// Port of the preview's page [default: 0, any that is free]
+    #[arg(long, requires = "preview")]
+    pub port: Option<u16>,
 }
 
 #[derive(Debug, Args)]
@@ -347,6 +361,8 @@ mod tests {
         assert_eq!(args.poll, Some(Duration::from_millis(500)));
         assert_eq!((args.bake.common.scenes.len(), args.bake.out), (2, Some("lit".into())));
         assert_eq!(watch("luxel watch a.glb").unwrap().poll, None);
+        assert_eq!(watch("luxel watch a.glb --preview --port 8080").unwrap().port, Some(8080));
+        assert!(watch("luxel watch a.glb --port 8080").unwrap_err().to_string().contains("--preview"));
         for wrong in ["0", "-1", "nan", "inf", "1e9", "often"] {
             let message = watch(&format!("luxel watch a.glb --poll={wrong}")).unwrap_err().to_string();
             assert!(message.contains("--poll") && message.contains("from 0.05 to 86400"), "{message}");

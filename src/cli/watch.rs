@@ -1,7 +1,8 @@
-//! `luxel watch`: the command line's view of a watch.
+//! `luxel watch`: the command line's view of a watch, and of its preview.
 
 use std::path::{Path, PathBuf};
 
+use luxel::live::{self, Bundle, Live};
 use luxel::watch::event::{Event, Fault};
 use luxel::watch::{self, Choices, Finished, Options, Task};
 
@@ -25,8 +26,28 @@ pub fn watch(args: &Watch) -> anyhow::Result<u8> {
     let watch = watch::Watch::new(options, args.poll);
     let stopper = watch.stopper();
     on_interrupt(move || stopper.stop())?;
-    let ending = watch.run(&|task: &Task| bake(style, task), &mut |event| tell(style, event));
+    let live = args.preview.then(|| serve(style, args.port)).transpose()?;
+    let ending = watch.run(&|task: &Task| bake(style, task), &mut |event| {
+        // Pages hear of it first: somebody waits for them.
+        let unshown = live.as_ref().and_then(|live| show(live, &event));
+        tell(style, event);
+        unshown.into_iter().for_each(|event| tell(style, event));
+    });
     Ok(if ending.failed.is_empty() { DONE } else { SOME_FAILED })
+}
+
+/// Starts the preview, and says where it is.
+fn serve(style: Style, port: Option<u16>) -> anyhow::Result<Live> {
+    let live = Live::start(live::Options { port: port.unwrap_or(0), bundle: Bundle::Embedded })?;
+    tell(style, Event::Preview { url: live.url(), notice: live.notice().map(str::to_owned) });
+    Ok(live)
+}
+
+/// Shows in the preview what an event tells; what is to be told where it cannot.
+fn show(live: &Live, told: &Event) -> Option<Event> {
+    let error = live.follow(told).err()?;
+    let (Event::Baked { scene, .. } | Event::Current { scene, .. }) = told else { return None };
+    Some(Event::Unshown { scene: scene.clone(), fault: Fault::new(&error) })
 }
 
 fn bake(style: Style, task: &Task) -> Result<Finished, luxel::Error> {
@@ -69,6 +90,8 @@ fn error(fault: Fault) -> anyhow::Error {
 fn line(told: &Event) -> Option<String> {
     let name = |path: &Path| path.display().to_string();
     Some(match told {
+        Event::Preview { url, notice: None } => format!("preview: {url}"),
+        Event::Preview { url, notice: Some(notice) } => format!("preview: {url}\nnote: {notice}"),
         Event::Watching { paths, scenes } => format!("watching {}: {}; Ctrl-C ends it", names(paths), count(*scenes)),
         Event::Polling { folder, reason, seconds } => {
             format!("note: {} is looked at every {seconds} s: {reason}", name(folder))
@@ -80,7 +103,11 @@ fn line(told: &Event) -> Option<String> {
         Event::Removed { scene } => format!("{} has gone; its lightmap stays", name(scene)),
         Event::Baking { scene } => name(scene),
         Event::Overtaken { scene } => format!("  stopped: {} has changed meanwhile", name(scene)),
-        Event::Current { scene } => format!("{} is as it was when its lightmap was baked", name(scene)),
+        Event::Current { scene, .. } => format!("{} is as it was when its lightmap was baked", name(scene)),
+        Event::Unshown { scene, fault } => {
+            let causes = fault.causes.iter().map(|cause| format!(": {cause}")).collect::<String>();
+            format!("note: the preview does not show {}: {}{causes}", name(scene), fault.error)
+        }
         Event::Idle { failed, .. } if failed.is_empty() => "waiting for changes".into(),
         Event::Idle { failed, .. } => format!("waiting for changes; not baked: {}", names(failed)),
         Event::Stopped { .. } => "ended".into(),

@@ -269,7 +269,7 @@ impl Book {
             item.changed = self.changes;
             tell(Event::Changed { scene: scene.into(), files: before.differences(&item.look) });
             if item.failed.take_if(|f| f.look != item.look).is_some() && item.baked.as_ref() == Some(&item.look) {
-                tell(Event::Current { scene: scene.into() });
+                tell(Event::Current { scene: scene.into(), outputs: item.outputs.clone() });
             }
         }
         differs

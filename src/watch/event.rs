@@ -5,6 +5,7 @@
 //!
 //! | `event` | fields | when |
 //! |---|---|---|
+//! | `preview` | `url`, `notice` | with `--preview`, before all others: where the page is, and what has to be done before it shows anything, or null |
 //! | `watching` | `paths` [text], `scenes` number | once, at the start |
 //! | `polling` | `folder`, `reason`, `seconds` | a folder is looked at every so often, because nobody tells of changes in it |
 //! | `unwatched` | `path`, `reason` | a folder cannot be watched or read; luxel goes on with what it sees |
@@ -16,7 +17,8 @@
 //! | `overtaken` | `scene` | a bake was stopped, because its files have changed meanwhile; another one follows unless they were changed back or removed |
 //! | `baked` | `scene`, `seconds`, `outputs` [text], `quality` {name: number}, `warnings` [{`code`, `message`}] | a bake has ended well; all its files are in place |
 //! | `failed` | `scene`, `error`, `causes` [text] | the scene cannot be baked as it is now; its last good outputs stay; it is tried again when a file of it changes or, if the fault lies neither in its files nor in its settings, is touched |
-//! | `current` | `scene` | a scene is what its outputs were made from, when it is found or again after it was broken: nothing is baked |
+//! | `current` | `scene`, `outputs` [text] | a scene is what its outputs were made from, when it is found or again after it was broken: nothing is baked |
+//! | `unshown` | `scene`, `error`, `causes` [text] | the preview cannot show what was baked, and goes on showing what it shows |
 //! | `idle` | `scenes` number, `failed` [text] | everything is as current as it can be |
 //! | `stopped` | `scenes` number, `failed` [text] | the last one: the watch was asked to end |
 //!
@@ -32,6 +34,7 @@ use serde_json::{Value, json};
 /// Something that people or programs may want to know.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Event {
+    Preview { url: String, notice: Option<String> },
     Watching { paths: Vec<PathBuf>, scenes: usize },
     Polling { folder: PathBuf, reason: String, seconds: f64 },
     Unwatched { path: PathBuf, reason: String },
@@ -43,7 +46,8 @@ pub enum Event {
     Overtaken { scene: PathBuf },
     Baked { scene: PathBuf, done: Done },
     Failed { scene: PathBuf, fault: Fault },
-    Current { scene: PathBuf },
+    Current { scene: PathBuf, outputs: Vec<PathBuf> },
+    Unshown { scene: PathBuf, fault: Fault },
     Idle { scenes: usize, failed: Vec<PathBuf> },
     Stopped { scenes: usize, failed: Vec<PathBuf> },
 }
@@ -77,6 +81,7 @@ impl Event {
     /// One line of the stream.
     pub fn to_json(&self) -> Value {
         match self {
+            Self::Preview { url, notice } => json!({ "event": "preview", "url": url, "notice": notice }),
             Self::Watching { paths, scenes } => json!({ "event": "watching", "paths": texts(paths), "scenes": scenes }),
             Self::Polling { folder, reason, seconds } => {
                 json!({ "event": "polling", "folder": text(folder), "reason": reason, "seconds": seconds })
@@ -100,10 +105,11 @@ impl Event {
                 "quality": done.quality,
                 "warnings": done.warnings,
             }),
-            Self::Failed { scene, fault } => {
-                json!({ "event": "failed", "scene": text(scene), "error": fault.error, "causes": fault.causes })
+            Self::Failed { scene, fault } => with_fault("failed", scene, fault),
+            Self::Current { scene, outputs } => {
+                json!({ "event": "current", "scene": text(scene), "outputs": texts(outputs) })
             }
-            Self::Current { scene } => of("current", scene),
+            Self::Unshown { scene, fault } => with_fault("unshown", scene, fault),
             Self::Idle { scenes, failed } => json!({ "event": "idle", "scenes": scenes, "failed": texts(failed) }),
             Self::Stopped { scenes, failed } => {
                 json!({ "event": "stopped", "scenes": scenes, "failed": texts(failed) })
@@ -114,6 +120,10 @@ impl Event {
 
 fn of(event: &str, scene: &Path) -> Value {
     json!({ "event": event, "scene": text(scene) })
+}
+
+fn with_fault(event: &str, scene: &Path, fault: &Fault) -> Value {
+    json!({ "event": event, "scene": text(scene), "error": fault.error, "causes": fault.causes })
 }
 
 /// A path that is not Unicode has no form in JSON: its other bytes are replaced.
@@ -153,6 +163,7 @@ mod tests {
         ));
         assert!(fault.error.contains("no/such.toml") && fault.causes.len() == 1, "{fault:?}");
         let all = [
+            Event::Preview { url: "http://127.0.0.1:1/".into(), notice: None },
             Event::Watching { paths: files.clone(), scenes: 1 },
             Event::Polling { folder: scene.clone(), reason: "nfs".into(), seconds: 2.0 },
             Event::Unwatched { path: scene.clone(), reason: "no".into() },
@@ -163,8 +174,9 @@ mod tests {
             Event::Baking { scene: scene.clone() },
             Event::Overtaken { scene: scene.clone() },
             Event::Baked { scene: scene.clone(), done: Done::default() },
-            Event::Failed { scene: scene.clone(), fault },
-            Event::Current { scene },
+            Event::Failed { scene: scene.clone(), fault: fault.clone() },
+            Event::Current { scene: scene.clone(), outputs: files.clone() },
+            Event::Unshown { scene, fault },
             Event::Idle { scenes: 1, failed: files.clone() },
             Event::Stopped { scenes: 1, failed: files },
         ];

@@ -206,7 +206,7 @@ impl Course<'_, '_, '_> {
         let (voice, untold) = (&mut self.voice, &mut self.untold);
         self.book.attend(&hints.paths, hints.everywhere, &mut |event| match &event {
             // What was not said need not be taken back.
-            Event::Current { scene } if untold.remove(scene).is_some() => {}
+            Event::Current { scene, .. } if untold.remove(scene).is_some() => {}
             _ => voice.say(event),
         });
         self.arm(hints);
@@ -270,9 +270,9 @@ impl Course<'_, '_, '_> {
             return false;
         }
         let Ok(State::Current(now)) = current::check(scene, outputs, settings, &Silent) else { return false };
-        self.book.succeeded(scene, look, &now.inputs, now.files);
+        self.book.succeeded(scene, look, &now.inputs, now.files.clone());
         self.untold.remove(scene);
-        self.voice.say(Event::Current { scene: scene.clone() });
+        self.voice.say(Event::Current { scene: scene.clone(), outputs: now.files });
         self.arm(&Hints::default());
         // Reading all files of a scene takes its time, and somebody may want to stop.
         self.hasty = true;

@@ -3,6 +3,9 @@
 
 #![allow(dead_code)] // Every test binary uses its part of this.
 
+pub mod client;
+pub mod watcher;
+
 use std::collections::BTreeMap;
 use std::io::{Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};

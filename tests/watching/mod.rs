@@ -9,7 +9,6 @@ use std::thread::JoinHandle;
 use std::time::Duration;
 
 use luxel::settings::{Layer, Origin};
-use luxel::store::StoreOptions;
 use luxel::watch::event::{Done, Event};
 use luxel::watch::{Choices, Ending, Finished, Options, Stopper, Task, Watch};
 use luxel_scene::{ImportOptions, import};
@@ -49,7 +48,6 @@ impl Bench {
         furnish(folder.path());
         let paths: Vec<PathBuf> = paths.iter().map(|p| folder.path().join(p)).collect();
         let options = Options {
-            store: StoreOptions::default(),
             paths: Options::paths(&paths).unwrap(),
             out: None,
             choices: Choices { config: None, flags: Layer::new(Origin::CommandLine) },

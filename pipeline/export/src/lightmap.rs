@@ -17,6 +17,8 @@ pub struct Lightmap {
     height: u32,
     irradiance: Vec<Vec3>,
     coverage: Vec<f32>,
+    /// Empty where no texel is buried.
+    buried: Vec<bool>,
 }
 
 /// The stated error bound of one atlas page (lux), one band, laid out as the page. The same invariant holds.
@@ -41,7 +43,23 @@ impl Lightmap {
         if let Some(i) = coverage.iter().position(|c| !(0.0..=1.0).contains(c)) {
             return Err(bad_texel(what, width, i, format!("coverage {}", coverage[i])));
         }
-        Ok(Self { width, height, irradiance, coverage })
+        Ok(Self { width, height, irradiance, coverage, buried: Vec::new() })
+    }
+
+    /// The same, with the places (row-major, in any order) of texels whose points lie inside or under other geometry:
+    /// what they hold comes from their neighbours. An error names the first place that is none.
+    pub fn with_buried(mut self, places: impl IntoIterator<Item = usize>) -> Result<Self, ExportError> {
+        let all = self.irradiance.len();
+        for place in places {
+            // Most pages have none, and need no marks.
+            self.buried.resize(all, false);
+            let Some(mark) = self.buried.get_mut(place) else {
+                let fault = format!("texel {place} is buried, and there are {all}");
+                return Err(ExportError::Image { what: "lightmap".into(), fault });
+            };
+            *mark = true;
+        }
+        Ok(self)
     }
 
     pub fn width(&self) -> u32 {
@@ -60,6 +78,11 @@ impl Lightmap {
     /// Share of every texel that a chart covers, row-major.
     pub fn coverage(&self) -> &[f32] {
         &self.coverage
+    }
+
+    /// Whether a texel's point lies inside or under other geometry, row-major; empty where none does.
+    pub fn buried(&self) -> &[bool] {
+        &self.buried
     }
 
     /// Bilinear E (lux) at `uv` ((0,0) is the upper left corner), clamped at the page's border as engines sample it.

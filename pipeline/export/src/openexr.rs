@@ -1,8 +1,10 @@
 //! Lightmaps as OpenEXR: the master copy, E in lux without loss.
 //!
 //! Layout: channels R, G, B (irradiance E (lux), linear Rec. 709) and A (coverage), row 0 at v = 0, ZIP-compressed
-//! scan lines in increasing order. Attributes: `software`, `luxel:unit`, `luxel:key` (the hash of what went into the
-//! bake). There is no date, so the same light gives the same bytes.
+//! scan lines in increasing order. Where some texels' points lie inside or under other geometry, a fifth channel
+//! [`BURIED`] (16 bit) is 1 at them and 0 elsewhere; readers of colours pass it over. Attributes: `software`,
+//! `luxel:unit`, `luxel:key` (the hash of what went into the bake). There is no date, so the same light gives the same
+//! bytes.
 
 use std::io::{self, Seek, Write};
 
@@ -18,6 +20,9 @@ use exr::{error::Error, image::Blocks, meta::attribute::AttributeValue};
 use glam::Vec3;
 
 use crate::{BoundMap, ExportError, Lightmap};
+
+/// Name of the channel that tells buried texels.
+pub const BURIED: &str = "buried";
 
 /// How the values of an EXR file are stored.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
@@ -40,7 +45,10 @@ impl<'a> Exr<'a> {
     /// Values that `depth` cannot hold, and a key that is not plain text.
     pub fn lightmap(map: &'a Lightmap, depth: Depth, key: &str) -> Result<Self, ExportError> {
         let band = |c: usize| Values::Band(map.irradiance(), c);
-        let channels = [("R", band(0)), ("G", band(1)), ("B", band(2)), ("A", Values::All(map.coverage()))];
+        let mut channels = vec![("R", band(0)), ("G", band(1)), ("B", band(2)), ("A", Values::All(map.coverage()))];
+        if !map.buried().is_empty() {
+            channels.push((BURIED, Values::Marks(map.buried())));
+        }
         Self::new([map.width(), map.height()], &channels, depth, key)
     }
 
@@ -56,6 +64,7 @@ impl<'a> Exr<'a> {
         let [width, height] = size.map(|side| side as usize);
         let mut list = SmallVec::new();
         for &(name, values) in channels {
+            let depth = values.depth(depth);
             if depth == Depth::Half {
                 check_halves(name, values, width * height)?;
             }
@@ -96,13 +105,24 @@ impl<'a> Exr<'a> {
 enum Values<'a> {
     Band(&'a [Vec3], usize),
     All(&'a [f32]),
+    /// 1 where it is true, 0 elsewhere.
+    Marks(&'a [bool]),
 }
 
 impl Values<'_> {
+    /// How they are stored in a file of this depth. Marks lose nothing.
+    fn depth(self, file: Depth) -> Depth {
+        match self {
+            Self::Marks(_) => Depth::Half,
+            Self::Band(..) | Self::All(_) => file,
+        }
+    }
+
     fn at(self, i: usize) -> f32 {
         match self {
             Self::Band(colours, band) => colours[i][band],
             Self::All(values) => values[i],
+            Self::Marks(marks) => f32::from(marks[i]),
         }
     }
 }
@@ -158,7 +178,7 @@ impl SamplesWriter for Plane<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use exr::prelude::read_first_flat_layer_from_file;
+    use exr::prelude::{read_first_flat_layer_from_file, read_first_rgba_layer_from_file};
     use std::io::Cursor;
 
     fn encode_exr(map: &Lightmap, depth: Depth, key: &str) -> Result<Vec<u8>, ExportError> {
@@ -244,6 +264,29 @@ mod tests {
         for _ in 0..8 {
             assert_eq!(encode_exr(&map, Depth::Float, "k").unwrap(), first);
         }
+    }
+
+    #[test]
+    fn buried_texels_have_a_channel_of_their_own_that_readers_of_colours_pass_over() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("level.lightmap.exr");
+        let map = map(1.0).with_buried([34, 3]).unwrap();
+        std::fs::write(&path, encode_exr(&map, Depth::Float, "k").unwrap()).unwrap();
+        let image = read_first_flat_layer_from_file(&path).unwrap();
+        let channels = &image.layer_data.channel_data.list;
+        let names: Vec<String> = channels.iter().map(|c| c.name.to_string()).collect();
+        assert_eq!(names, ["A", "B", "G", "R", BURIED]);
+        let marked: Vec<usize> =
+            channels[4].sample_data.values_as_f32().enumerate().filter(|(_, v)| *v == 1.0).map(|(i, _)| i).collect();
+        assert_eq!(marked, [3, 34]);
+        let colours = read_first_rgba_layer_from_file(
+            &path,
+            |size, _| vec![0.0; size.area()],
+            |reds: &mut Vec<f32>, at, (r, _, _, _): (f32, f32, f32, f32)| reds[at.y() * 7 + at.x()] = r,
+        );
+        let reds = colours.unwrap().layer_data.channel_data.pixels;
+        assert_eq!(reds, map.irradiance().iter().map(|e| e.x).collect::<Vec<f32>>());
+        assert!(Lightmap::new(1, 1, vec![Vec3::ONE], vec![1.0]).unwrap().with_buried([1]).is_err());
     }
 
     #[test]
