@@ -28,10 +28,15 @@ pub enum Error {
     Field(#[from] FieldError),
     #[error("cannot write to the folder {path}; choose another one with --out")]
     Folder { path: PathBuf, source: std::io::Error },
+    #[error("{folder} holds the bake itself; choose another folder with --to")]
+    OverBake { folder: PathBuf },
+    #[error("there is no light group `{name}`; the scene has: {groups}")]
+    Group { name: String, groups: String },
     #[error(
-        "cannot store the light at surfels in {path}; move what is in its way, or choose another folder with --out"
+        "the light of the group `{group}` is not stored in {store}: bake the scene with the same settings first (luxel \
+         bake), and name its folder or store as then (--out, --store)"
     )]
-    Store { path: PathBuf, source: std::io::Error },
+    NotStored { group: String, store: PathBuf },
     #[error(transparent)]
     Export(#[from] ExportError),
     #[error(

@@ -144,6 +144,8 @@ impl Memory {
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Plan {
     pub facts: Facts,
+    /// Names of the light groups that are baked apart, in their order; none before lights are parted.
+    pub light_groups: Vec<String>,
     pub steps: Vec<Step>,
     pub memory: Memory,
     /// What a person should know of the scene.
@@ -163,7 +165,7 @@ impl Plan {
         let runs = |stage| steps.iter().any(|s| s.stage == stage && s.runs);
         let memory = memory(&facts, scene, settings, &runs);
         let warnings = scene.notices.iter().map(Warning::from).collect();
-        Self { facts, steps, memory, warnings }
+        Self { facts, light_groups: Vec::new(), steps, memory, warnings }
     }
 
     pub fn runs(&self, stage: Stage) -> bool {

@@ -13,6 +13,7 @@ pub mod journal;
 mod keys;
 mod light;
 mod memory;
+pub mod mix;
 mod receivers;
 mod record;
 mod report;
@@ -21,6 +22,7 @@ mod tracer;
 mod transport;
 
 use std::borrow::Cow;
+use std::collections::BTreeMap;
 use std::panic::AssertUnwindSafe;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -39,6 +41,7 @@ use journal::Journal;
 use keys::Keys;
 use light::Parts;
 pub use light::TexelLight;
+use mix::Mix;
 use receivers::Receivers;
 pub(crate) use report::{json_form, versions};
 use tracer::Tracer;
@@ -101,15 +104,37 @@ struct Baking<'a> {
     lighting: &'a Lighting,
     keys: &'a Keys,
     store: Option<&'a Store>,
+    /// Light that is not stored is not made either.
+    only_stored: bool,
+}
+
+impl Baking<'_> {
+    /// To be asked before the light of a group is made.
+    fn may_make(&self, group: &str) -> Result<(), Error> {
+        match self.store {
+            Some(store) if self.only_stored => {
+                Err(Error::NotStored { group: group.into(), store: store.folder().into() })
+            }
+            _ => Ok(()),
+        }
+    }
 }
 
 /// Bakes a scene file to files (the chain is shown in the crate's documentation). When it fails or is cancelled, the
 /// files of an earlier bake are untouched.
 pub fn bake(request: &Request, progress: &dyn Progress) -> Result<Baked, Error> {
-    with_threads(&request.settings.settings, || run(request, progress))
+    with_threads(&request.settings.settings, || run(request, None, progress))
 }
 
-fn run(request: &Request, progress: &dyn Progress) -> Result<Baked, Error> {
+/// Writes the outputs of a bake with other weights of its light groups, from their stored light alone.
+///
+/// # Errors
+/// As a bake; a group that the scene does not have; light that is not stored.
+pub fn export(request: &Request, mix: &Mix, progress: &dyn Progress) -> Result<Baked, Error> {
+    with_threads(&request.settings.settings, || run(request, Some(mix), progress))
+}
+
+fn run(request: &Request, mix: Option<&Mix>, progress: &dyn Progress) -> Result<Baked, Error> {
     let start = Instant::now();
     let settings = &request.settings.settings;
     let mut journal = Journal::new(progress);
@@ -119,7 +144,8 @@ fn run(request: &Request, progress: &dyn Progress) -> Result<Baked, Error> {
         counters.insert("files".into(), opened.scene.inputs.len() as u64);
         Ok(opened)
     })?;
-    let input::Opened { scene, lighting, original, mut plan } = opened;
+    let input::Opened { scene, mut lighting, original, mut plan } = opened;
+    let weights = mix.map_or(Ok(BTreeMap::new()), |mix| mix.weigh(&mut lighting))?;
     journal.explain(Stage::Import, plan.reason(Stage::Import));
     plan.warnings.extend(memory::check(&plan.least_memory(settings))?);
     let inputs = input::Inputs::new(&request.scene, &scene, &original);
@@ -129,7 +155,14 @@ fn run(request: &Request, progress: &dyn Progress) -> Result<Baked, Error> {
     let geometry = Geometry::new(&scene);
     export::probe(&request.outputs)?;
     let store = request.store.open(request.outputs.folder());
-    let baking = Baking { settings, plan: &plan, lighting: &lighting, keys: &keys, store: Some(&store) };
+    let baking = Baking {
+        settings,
+        plan: &plan,
+        lighting: &lighting,
+        keys: &keys,
+        store: Some(&store),
+        only_stored: mix.is_some(),
+    };
     let tracer = Tracer::new(&geometry);
     let lit = match &request.worker {
         Some(path) => light(&baking, &tracer, &worker(path), Keep::Images, &mut journal)?,
@@ -138,6 +171,7 @@ fn run(request: &Request, progress: &dyn Progress) -> Result<Baked, Error> {
     let picture = export::preview(&baking, &tracer, &lit, &mut journal)?;
     drop(tracer);
     let mut report = report::start(&scene, &inputs, &plan, &request.settings, &keys.parts);
+    report.mix = weights;
     let glb = export::glb(request, &original, &scene, &plan, &lit, &mut report, &mut journal)?;
     let warnings = store.take_notes();
     report::fill(&mut report, &scene, &baking, &lit, warnings, journal, start.elapsed().as_secs_f64());
@@ -163,7 +197,8 @@ pub fn bake_scene(scene: &Scene, settings: &Settings, progress: &dyn Progress) -
         let plan = Plan::new(&scene, settings);
         let keys = Keys::new(&scene, &lighting, settings, &plan);
         let geometry = Geometry::new(&scene);
-        let baking = Baking { settings, plan: &plan, lighting: &lighting, keys: &keys, store: None };
+        let baking =
+            Baking { settings, plan: &plan, lighting: &lighting, keys: &keys, store: None, only_stored: false };
         light(&baking, &Tracer::new(&geometry), &InProcess, Keep::Texels, &mut Journal::new(progress))
     })
 }

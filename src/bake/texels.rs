@@ -15,7 +15,7 @@ use luxel_transport::{
 use super::Baking;
 use super::artefact::{self, head, put_head, put_slice};
 use super::direct;
-use super::groups::Group;
+use super::groups::{Group, SKY};
 use super::journal::{Counters, Journal};
 use super::keys::GroupKeys;
 use super::light::Parts;
@@ -83,6 +83,7 @@ fn direct_layers(
         journal.reused(plan, Stage::Direct, counters);
         return Ok(layers);
     }
+    baking.may_make(&group.name)?;
     let rays = tracer.rays(plan, journal)?;
     let emitters = group.emitters(transport.emitters(tracer.geometry));
     journal.always(Stage::Direct, plan.reason(Stage::Direct), Some(receivers.len()), |progress, counters| {
@@ -117,6 +118,7 @@ fn sky_layers(
         journal.reused(plan, Stage::Sky, counters);
         return Ok(layers);
     }
+    baking.may_make(SKY)?;
     let rays = tracer.rays(plan, journal)?;
     journal.always(Stage::Sky, plan.reason(Stage::Sky), Some(receivers.len()), |progress, counters| {
         let sky = SkyLight::new(rays, SkySettings { rays: settings.sky_rays.0, ..SkySettings::default() });
@@ -161,6 +163,7 @@ fn reflected_layers(
         journal.reused(plan, Stage::Gather, counters);
         return Ok(layers);
     }
+    baking.may_make(&baking.lighting.groups[number].name)?;
     let (surfels, solution, record) = transport.solution(baking, tracer, number, journal)?;
     transport.facts.add(record.clone(), baking.lighting.groups[number].factor);
     let rays = tracer.rays(plan, journal)?;

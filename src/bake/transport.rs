@@ -346,7 +346,14 @@ mod tests {
         let geometry = Geometry::new(&scene);
         let plan = Plan::new(&scene, &settings);
         let keys = Keys::new(&scene, &lighting, &settings, &plan);
-        let baking = Baking { settings: &settings, plan: &plan, lighting: &lighting, keys: &keys, store: None };
+        let baking = Baking {
+            settings: &settings,
+            plan: &plan,
+            lighting: &lighting,
+            keys: &keys,
+            store: None,
+            only_stored: false,
+        };
         let mut transport = Transport::default();
         let tracer = Tracer::new(&geometry);
         let (surfels, solution, _) = transport.solution(&baking, &tracer, 0, &mut Journal::new(&Silent)).unwrap();

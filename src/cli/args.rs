@@ -4,6 +4,7 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use clap::{Arg, ArgMatches, Args, Command, FromArgMatches, Parser, Subcommand, error::ErrorKind};
+use luxel::bake::mix::Mix;
 use luxel::settings::{FIELDS, Layer, Origin, Settings};
 use luxel::store::StoreOptions;
 
@@ -82,6 +83,20 @@ Events of --json, one object per line, with their fields:
 Ctrl-C ends it, after the running bake has stopped; a second one ends it at once.
 Exit codes: 0 ended, 1 ended with scenes that could not be baked, 2 wrong usage, 130 ended by a second Ctrl-C.";
 
+const MIXING: &str = "\
+Lights of one name (of their node, or its extra luxel_group) are one group; the sky is the group sky. luxel plan lists
+them. Their light is taken from the store of a bake with the same settings: give the options that the bake had, --out
+and --store among them. Where it is not there, the scene fails and says so.
+
+Examples:
+  luxel export level.glb --mix sun=0.2,lamps=1.5      dusk, in mixed/
+  luxel export level.glb --mix lamps=0 --to day/      the lamps off
+  luxel export levels/ --mix sun=0 --to night/        every scene below a folder that has a group sun
+
+Events of --json are those of luxel bake.
+
+Exit codes: 0 done, 1 some scenes failed, 2 wrong usage, 130 interrupted.";
+
 const CACHING: &str = "\
 A bake keeps the result of every stage under the digest of all that it follows from, so that the next one makes only
 what has changed. Everything in a store can be made again: removing it costs time and nothing else. A bake keeps its
@@ -131,6 +146,9 @@ pub enum Task {
     Watch(Watch),
     /// Say which stages a bake would run, reuse or leave out, why, and how much memory it would take.
     Plan(Bake),
+    /// Write a baked scene's outputs with other weights of its light groups; nothing is baked for it.
+    #[command(after_help = MIXING)]
+    Export(Export),
     /// Look after the stores that bakes keep for the next ones: how much they hold, whether it is sound, what may go.
     #[command(after_help = CACHING)]
     Cache(Cache),
@@ -180,6 +198,18 @@ pub struct Baking {
     /// Bake scenes too whose outputs are current
     #[arg(long)]
     pub force: bool,
+}
+
+#[derive(Debug, Args)]
+pub struct Export {
+    #[command(flatten)]
+    pub bake: Bake,
+    /// Factors on light groups: sun=0.2,lamps=1.5; groups that are not named stay as they are
+    #[arg(long, value_name = "GROUP=FACTOR,..", required = true)]
+    pub mix: Vec<Mix>,
+    /// Folder for what is written [default: mixed/ beside each scene]; --out is that of the bake
+    #[arg(long, value_name = "DIR")]
+    pub to: Option<PathBuf>,
 }
 
 #[derive(Debug, Args)]

@@ -3,6 +3,7 @@
 mod amount;
 mod args;
 mod cache;
+mod export;
 mod print;
 mod progress;
 mod watch;
@@ -23,7 +24,7 @@ use luxel::{Error, Request};
 use luxel_export::{ExportError, OutputSet};
 use serde_json::json;
 
-use args::{Bake, Baking, Cli, Common, Task, Watch};
+use args::{Bake, Baking, Cli, Common, Export, Task, Watch};
 use progress::{Reporter, Style, event, say};
 
 const DONE: u8 = 0;
@@ -46,9 +47,10 @@ pub fn main() -> ExitCode {
         }
     };
     let json = match &cli.task {
-        Task::Bake(Baking { bake: args, .. }) | Task::Plan(args) | Task::Watch(Watch { bake: args, .. }) => {
-            args.common.json
-        }
+        Task::Bake(Baking { bake: args, .. })
+        | Task::Plan(args)
+        | Task::Watch(Watch { bake: args, .. })
+        | Task::Export(Export { bake: args, .. }) => args.common.json,
         Task::Cache(args) => args.places().json,
         Task::Defaults | Task::UnwrapWorker => false,
     };
@@ -56,6 +58,7 @@ pub fn main() -> ExitCode {
         Task::Bake(args) => bake(&args),
         Task::Plan(args) => plan(&args),
         Task::Watch(args) => watch::watch(&args),
+        Task::Export(args) => export::export(&args),
         Task::Cache(args) => cache::cache(&args),
         Task::Defaults => {
             progress::out(&luxel::settings::documented_defaults());

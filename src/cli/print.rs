@@ -85,6 +85,9 @@ pub fn plan(style: Style, scene: &Path, plan: &Plan, state: &State) {
         };
         text += &format!("  {:<10} {state:<9} {}\n", step.stage.name(), step.reason);
     }
+    if !plan.light_groups.is_empty() {
+        text += &format!("  groups     {}\n", plan.light_groups.join(", "));
+    }
     let m = &plan.memory;
     let mib = |bytes: u64| bytes.div_ceil(1 << 20);
     text += &format!(

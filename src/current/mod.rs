@@ -87,6 +87,7 @@ fn compare(scene: &Path, outputs: &OutputSet, settings: &Resolved, progress: &dy
         Err(reason) => return Ok(State::Stale(vec![reason])),
     };
     let mut reasons = version_reasons(&report);
+    reasons.extend((!report.mix.is_empty()).then_some(Reason::Mixed));
     reasons.extend(setting_reasons(&report, settings, inputs.is_same_sky));
     reasons.extend(inputs.reasons);
     let files = match written(&report, outputs, &mut reasons, progress)? {

@@ -44,6 +44,8 @@ pub enum Reason {
     OutputChanged {
         path: PathBuf,
     },
+    /// The outputs are those of an export that weighed the light groups anew.
+    Mixed,
     /// An image of another bake under this scene's name.
     LeftOver {
         path: PathBuf,
@@ -63,6 +65,7 @@ impl Reason {
             Self::InputNew { .. } => "input-new",
             Self::OutputMissing { .. } => "output-missing",
             Self::OutputChanged { .. } => "output-changed",
+            Self::Mixed => "mixed",
             Self::LeftOver { .. } => "output-left-over",
         }
     }
@@ -92,6 +95,7 @@ impl fmt::Display for Reason {
             Self::InputNew { path } => write!(f, "{} can be read now and was missing", shown(path)),
             Self::OutputMissing { path } => write!(f, "the output {} is not there", shown(path)),
             Self::OutputChanged { path } => write!(f, "the output {} is not as it was written", shown(path)),
+            Self::Mixed => write!(f, "its light groups were weighed anew by luxel export"),
             Self::LeftOver { path } => write!(f, "{} was left over by another bake", shown(path)),
         }
     }

@@ -119,6 +119,9 @@ fn nodes(scene: &Scene) -> Vec<Json> {
         if instance.texel_scale != 1.0 {
             extras.insert("luxel_scale".into(), number(instance.texel_scale));
         }
+        if *instance.group != *instance.name {
+            extras.insert("luxel_group".into(), json!(*instance.group));
+        }
         if !extras.is_empty() {
             n["extras"] = Json::Object(extras);
         }
@@ -134,9 +137,16 @@ fn nodes(scene: &Scene) -> Vec<Json> {
         };
         let mut n = node(&light.name, place);
         n["extensions"] = json!({ "KHR_lights_punctual": { "light": i } });
+        let mut extras = Map::new();
         if extra.1 > 0.0 {
             // Twelve digits hide the rounding of the conversion to degrees.
-            n["extras"] = json!({ extra.0: (extra.1 * 1e12).round() / 1e12 });
+            extras.insert(extra.0.into(), json!((extra.1 * 1e12).round() / 1e12));
+        }
+        if *light.group != *light.name {
+            extras.insert("luxel_group".into(), json!(*light.group));
+        }
+        if !extras.is_empty() {
+            n["extras"] = Json::Object(extras);
         }
         nodes.push(n);
     }

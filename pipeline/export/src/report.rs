@@ -34,6 +34,9 @@ pub struct Report {
     /// The light groups, in the order in which they are summed. Absent in reports of earlier versions.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub light_groups: Vec<LightGroup>,
+    /// Weights of the light groups, where they were exported with others than the scene's. Absent in a bake's report.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub mix: BTreeMap<String, f64>,
     /// Stages in the order in which they run.
     pub stages: Vec<Stage>,
     /// Counters of the scene and of what this bake itself computed: `triangles`, `texels`, `buried_texels`, `charts`,
