@@ -1,7 +1,9 @@
-//! The shipped scenes at the default preset against the reference path tracer, upright and tilted.
+//! The shipped scenes at the default preset against the reference path tracer, upright and tilted; all lights in one
+//! group, which several groups, each with the same error bound on its own light, are not worse than.
 
 mod support;
 
+use luxel::settings::{LightGroups, Settings};
 use luxel_scene::Scene;
 use support::*;
 
@@ -12,7 +14,7 @@ const SOME: u32 = 8192;
 const MANY: u32 = 32_768;
 
 fn assert_accurate(name: &str, scene: &Scene, paths: u32) {
-    let settings = medium_512();
+    let settings = Settings { light_groups: LightGroups::One, ..medium_512() };
     let lit = bake(scene, &settings);
     let texels = some_texels(&lit, TEXELS, |_| true);
     let s = score_texels(scene, &lit, &texels, paths);

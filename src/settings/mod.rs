@@ -194,7 +194,7 @@ settings! {
         /// How indirect light is gathered at texels.
         ["choice"] gather: GatherMode = GatherMode::Auto;
         /// A light cluster is opened until its error bound is below this share of the texel's light.
-        ["share"] cut_error: Tolerance = Tolerance(0.02);
+        ["share"] cut_error: Tolerance = Tolerance(0.017);
         /// Clusters of a cut at most.
         ["count"] cut_limit: Samples = Samples(1000);
         /// Short rays per texel that see to the light of near surfaces.
