@@ -76,9 +76,11 @@ impl Stage {
     /// stored light of an older version is then made anew instead of being taken for this one's.
     pub fn version(self) -> u32 {
         match self {
-            Self::Propagate => 3,
-            Self::Unwrap | Self::Surfels | Self::Shoot | Self::Direct | Self::Gather | Self::Finish | Self::Export => 2,
-            Self::Import | Self::Rays | Self::Refresh | Self::Cache | Self::Clear | Self::Sky | Self::Preview => 1,
+            Self::Propagate | Self::Export => 3,
+            Self::Unwrap | Self::Surfels | Self::Shoot | Self::Direct | Self::Gather | Self::Finish | Self::Preview => {
+                2
+            }
+            Self::Import | Self::Rays | Self::Refresh | Self::Cache | Self::Clear | Self::Sky => 1,
         }
     }
 }

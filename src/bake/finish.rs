@@ -40,13 +40,13 @@ pub fn run(
         let how = FinishSettings { stitch: false, ..how };
         let buried = &buried;
         let value = move |i: usize| (!buried[i]).then(|| Rgb::splat(bound[i]));
-        let (images, _) = finish(scene, atlas, value, &how)?;
+        let (images, _) = finish(scene, atlas, value, &how, progress)?;
         bounds = images.into_iter().map(bound_map).collect::<Result<_, _>>()?;
     }
     progress.advance(1);
     progress.check()?;
     let value = move |i: usize| (!buried[i]).then(|| irradiance[i]);
-    let (images, report) = finish(scene, atlas, value, &how)?;
+    let (images, report) = finish(scene, atlas, value, &how, progress)?;
     let lightmaps = images.into_iter().map(lightmap).collect::<Result<_, _>>()?;
     progress.advance(1);
     Ok((lightmaps, bounds, report))

@@ -11,6 +11,7 @@ mod record;
 mod report;
 mod texels;
 mod transport;
+mod turns;
 
 use std::borrow::Cow;
 use std::panic::AssertUnwindSafe;
@@ -18,7 +19,7 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use luxel_atlas::{Atlas, AtlasReport, InProcess, Unwrapper, Worker};
-use luxel_export::{BoundMap, Lightmap, OutputSet, Report, report::Warning};
+use luxel_export::{BoundMap, Lightmap, Original, OutputSet, Report, report::Warning};
 use luxel_scene::{InputFile, Progress, Scene};
 use luxel_transport::{geometry::Geometry, rays::Rays};
 
@@ -29,6 +30,7 @@ use journal::Journal;
 use light::Parts;
 pub use light::TexelLight;
 pub(crate) use report::{json_form, versions};
+pub use turns::{Alone, Gate, Leave, Turn, Turns};
 
 /// What to bake, where to, and how.
 #[derive(Clone, Debug)]
@@ -81,24 +83,46 @@ enum Keep {
 /// Bakes a scene file to files (the chain is shown in the crate's documentation). When it fails or is cancelled, the
 /// files of an earlier bake are untouched.
 pub fn bake(request: &Request, progress: &dyn Progress) -> Result<Baked, Error> {
-    with_threads(&request.settings.settings, || run(request, progress))
+    bake_in_turn(request, &Alone(request.settings.settings.threads.0), progress)
 }
 
-fn run(request: &Request, progress: &dyn Progress) -> Result<Baked, Error> {
+/// [`bake`] among others: once the scene is open it waits at a gate, which also says on how many threads it goes on.
+/// How many makes no difference to any byte but those of the times in the report.
+pub fn bake_in_turn(request: &Request, gate: &dyn Gate, progress: &dyn Progress) -> Result<Baked, Error> {
     let start = Instant::now();
     let settings = &request.settings.settings;
     let mut journal = Journal::new(progress);
-    let (scene, original, mut plan) = journal.always(Stage::Import, "", Some(input::STEPS), |progress, counters| {
-        let (scene, original, plan) = input::open(&request.scene, settings, progress)?;
-        counters.insert("triangles".into(), scene.triangle_count() as u64);
-        counters.insert("files".into(), scene.inputs.len() as u64);
-        Ok((scene, original, plan))
+    let (scene, original, mut plan) = on_threads(gate.opening(), || {
+        journal.always(Stage::Import, "", Some(input::STEPS), |progress, counters| {
+            let (scene, original, plan) = input::open(&request.scene, settings, progress)?;
+            counters.insert("triangles".into(), scene.triangle_count() as u64);
+            counters.insert("files".into(), scene.inputs.len() as u64);
+            Ok((scene, original, plan))
+        })
     })?;
     journal.explain(Stage::Import, plan.reason(Stage::Import));
-    plan.warnings.extend(memory::check(&plan.least_memory(settings))?);
+    let leave = gate.enter(&plan.least_memory(settings), progress)?;
+    plan.warnings.extend(leave.warning);
+    on_threads(leave.threads, move || run(request, scene, original, plan, journal, start))
+}
+
+/// Everything after the import.
+fn run(
+    request: &Request,
+    scene: Scene,
+    original: Original,
+    plan: Plan,
+    mut journal: Journal,
+    start: Instant,
+) -> Result<Baked, Error> {
+    let progress = journal.progress;
+    let settings = &request.settings.settings;
+    progress.check()?;
     let inputs = input::Inputs::new(&request.scene, &scene, &original);
+    progress.check()?;
     let key = input::key(&scene, settings, &Stage::ALL, matters);
     let geometry = Geometry::new(&scene);
+    progress.check()?;
     export::probe(&request.outputs)?;
     let store = transport::Store::new(&request.outputs, &scene, settings);
     if plan.runs(Stage::Cache) {
@@ -113,11 +137,10 @@ fn run(request: &Request, progress: &dyn Progress) -> Result<Baked, Error> {
     let mut report = report::start(&scene, &inputs, &plan, &request.settings);
     let glb = export::glb(request, &original, &scene, &plan, &lit, &mut report, &mut journal)?;
     report::fill(&mut report, &scene, settings, &plan, &lit, &journal, start.elapsed().as_secs_f64());
-    // From here on the old files are replaced.
-    progress.check()?;
     // Beside the encoders lives what they read.
     let Lit { lightmaps, bounds, .. } = lit;
-    let files = export::write(&request.outputs, (&lightmaps, &bounds), picture.as_deref(), &glb, &key, &mut report)?;
+    let images = (&lightmaps[..], &bounds[..]);
+    let files = export::write(&request.outputs, images, picture.as_deref(), &glb, &key, &mut report, progress)?;
     Ok(Baked { report, files, inputs: inputs.read, seconds: start.elapsed().as_secs_f64() })
 }
 
@@ -186,7 +209,7 @@ fn light<'g>(
     // Without an unwrap no instance has a place, and the atlas still says so of every one of them.
     let nowhere = || (Atlas { placed: vec![None; scene.instances.len()], ..Atlas::default() }, AtlasReport::default());
     let (atlas, atlas_report) = unwrapped.unwrap_or_else(nowhere);
-    let rays = journal.run(plan, Stage::Rays, Some(0), |_, _| Ok(Rays::new(geometry)))?;
+    let rays = journal.run(plan, Stage::Rays, Some(0), |progress, _| Ok(Rays::build(geometry, progress)?))?;
     let ((mut texels, sums), transport) = match &rays {
         Some(rays) => {
             let transport = transport::run(rays, settings, plan, store, journal)?;
@@ -219,9 +242,13 @@ fn worker(path: &Path) -> Worker {
     Worker::new(path, ["unwrap-worker"])
 }
 
-/// Runs `work` on a pool of its own, so that an embedding program keeps its threads.
+/// Runs `work` on as many threads as the settings say.
 fn with_threads<T: Send>(settings: &Settings, work: impl FnOnce() -> Result<T, Error> + Send) -> Result<T, Error> {
-    let threads = settings.threads.0;
+    on_threads(settings.threads.0, work)
+}
+
+/// Runs `work` on a pool of its own, so that an embedding program keeps its threads.
+fn on_threads<T: Send>(threads: u32, work: impl FnOnce() -> Result<T, Error> + Send) -> Result<T, Error> {
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads as usize).build();
     let pool = pool.map_err(|source| Error::Threads { threads, source })?;
     guarded(|| pool.install(work))

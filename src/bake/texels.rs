@@ -4,7 +4,7 @@
 //! irradiance direct and indirect, bound, and whether it is buried. At the end the two are added up.
 
 use luxel_atlas::{Atlas, Chart, Texel};
-use luxel_scene::Progress;
+use luxel_scene::{Cancelled, Progress, watched};
 use luxel_transport::{
     gather::{
         Field, FinalGather, Gather, Gathered, Lightcuts, Lookup, Receiver, lightcuts,
@@ -131,10 +131,13 @@ impl<'a> Side<'a> {
             let length = block.len();
             let found: Vec<(usize, Sides)> = block
                 .into_par_iter()
-                .map(|i| (i, self.original(i)))
-                .filter(|(_, receiver)| validity::is_buried(rays, receiver))
-                .map(|(i, receiver)| (i, validity::sides(rays, &receiver)))
+                .filter_map(|i| {
+                    // Nobody reads on once one of them was cancelled.
+                    let receiver = (!progress.is_cancelled()).then(|| self.original(i))?;
+                    validity::is_buried(rays, &receiver).then(|| (i, validity::sides(rays, &receiver)))
+                })
                 .collect();
+            progress.check()?;
             for (i, sides) in found {
                 match sides.larger {
                     Some(receiver) => self.moved.push((i, receiver)),
@@ -164,20 +167,23 @@ impl<'a> Side<'a> {
             // Interpolation looks at whole charts; a gather at every texel need not.
             let end = if nodes.is_some() { self.block_end(first) } else { self.len().min(first + BLOCK) };
             let open: Vec<usize> = (first..end).filter(|i| !self.light.buried[*i]).collect();
-            let receivers: Vec<Receiver> = open.iter().map(|i| self.receiver(*i)).collect();
+            let receivers = watched(&open, progress).map(|i| Ok(self.receiver(*i?)));
+            let receivers = receivers.collect::<Result<Vec<Receiver>, Cancelled>>()?;
             let light = match nodes {
                 None => {
                     gathered += receivers.len() as u64;
                     gatherer.gather(&receivers, progress)?
                 }
                 Some(how) => {
+                    progress.check()?;
                     let cells: Vec<Cell> = open.iter().map(|i| self.cell(*i)).collect();
                     let found = interpolate(gatherer, how, &receivers, &cells, progress)?;
                     gathered += found.nodes as u64;
                     found.light
                 }
             };
-            for (i, g) in open.iter().zip(&light) {
+            for item in watched(open.iter().zip(&light), progress) {
+                let (i, g) = item?;
                 put(&mut self.light, *i, g);
             }
             progress.advance((end - first - open.len()) as u64);
@@ -236,7 +242,7 @@ pub fn run(
     let work = sides.iter().map(|s| s.len() as u64).sum();
 
     journal.run(plan, Stage::Direct, Some(work), |progress, counters| {
-        direct::with(rays, &transport.emitters, settings, |direct| {
+        direct::with(rays, &transport.emitters, settings, progress, |direct| {
             gather(&mut sides, direct, Part::Direct, None, progress, counters)
         })
     })?;
@@ -249,7 +255,7 @@ pub fn run(
     })?;
     journal.run(plan, Stage::Gather, Some(work), |progress, counters| {
         let Some((surfels, solution)) = &transport.surfels else { return Ok(()) };
-        let field = Field::new(rays, surfels, solution)?;
+        let field = Field::build(rays, surfels, solution, progress)?;
         match settings.gatherer() {
             Gatherer::Lookup => gather(&mut sides, &Lookup::new(&field), Part::Bounced, None, progress, counters),
             Gatherer::Final => {
@@ -257,7 +263,7 @@ pub fn run(
                 gather(&mut sides, &gatherer, Part::Bounced, nodes, progress, counters)
             }
             Gatherer::Lightcuts => {
-                let gatherer = Lightcuts::new(&field, lightcut_settings(settings));
+                let gatherer = Lightcuts::build(&field, lightcut_settings(settings), progress)?;
                 gather(&mut sides, &gatherer, Part::Bounced, nodes, progress, counters)
             }
         }

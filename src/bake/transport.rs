@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use luxel_export::OutputSet;
 use luxel_export::report::StageState;
-use luxel_scene::{Scene, Sky};
+use luxel_scene::{Progress, Scene, Silent, Sky, Watched};
 use luxel_transport::{
     Rgb, directions,
     gather::{Field, refresh},
@@ -122,12 +122,13 @@ impl Store {
     }
 
     /// The stored light, if it is this bake's; else a warning, if that is cause for one.
-    fn read(&self, triangles: usize) -> Result<(Surfels, Solution, Record), Option<String>> {
+    fn read(&self, triangles: usize, progress: &dyn Progress) -> Result<(Surfels, Solution, Record), Option<String>> {
         let foreign = |why: String| Some(format!("{}: the stored light is made anew: {why}", self.path.display()));
         let decoded = store::read(&self.path, store::OCTREE, &self.key, |body| {
             let record = Record::read(body)?;
             let length = body.left();
-            let (surfels, solution) = octree::read(body, length).map_err(|e| e.to_string())?;
+            let mut body = Watched::new(body, progress);
+            let (surfels, solution) = octree::read(&mut body, length).map_err(|e| e.to_string())?;
             Ok((surfels, solution, record))
         });
         let stored = decoded.map_err(|miss| match miss {
@@ -142,11 +143,14 @@ impl Store {
         Ok(stored)
     }
 
-    fn write(&self, octree: &Octree, record: &Record) -> Result<u64, Error> {
+    fn write(&self, octree: &Octree, record: &Record, progress: &dyn Progress) -> Result<u64, Error> {
         let written = store::write(&self.path, store::OCTREE, &self.key, |out| {
-            record.write(out)?;
-            octree.write(out)
+            let mut out = Watched::new(out, progress);
+            record.write(&mut out)?;
+            octree.write(&mut out)
         });
+        // What was cancelled is no fault of the disk.
+        progress.check()?;
         written.map_err(|source| Error::Store { path: self.path.clone(), source })
     }
 }
@@ -174,7 +178,10 @@ pub fn run(
         return Ok(Transport { emitters, surfels: None, facts });
     }
     if let Some(store) = store {
-        match store.read(rays.geometry.triangles.len()) {
+        let stored = store.read(rays.geometry.triangles.len(), journal.progress);
+        // What was cancelled says nothing of what is stored.
+        journal.progress.check()?;
+        match stored {
             Ok((surfels, solution, record)) => {
                 reuse(&record, plan, journal);
                 facts.surfels = surfels.list.len() as u64;
@@ -194,7 +201,7 @@ pub fn run(
         progress.advance(1);
         progress.check()?;
         if let Some(store) = store {
-            counters.insert("bytes".into(), store.write(&octree, &record)?);
+            counters.insert("bytes".into(), store.write(&octree, &record, progress)?);
         }
         progress.advance(1);
         Ok(())
@@ -205,7 +212,7 @@ pub fn run(
 
 /// Marks the stages in a plan that stored light will stand for, by the very test that the bake applies.
 pub fn foresee(plan: &mut Plan, store: &Store, scene: &Scene) {
-    if plan.runs(Stage::Surfels) && store.read(Geometry::new(scene).triangles.len()).is_ok() {
+    if plan.runs(Stage::Surfels) && store.read(Geometry::new(scene).triangles.len(), &Silent).is_ok() {
         for stage in STORED.into_iter().chain([Stage::Cache]) {
             plan.reuse(stage, REUSED);
         }
@@ -248,7 +255,7 @@ fn made(
             let how = PhotonSettings { primary, directions: PHOTONS_PER_POINT };
             shoot::photons(rays, emitters, &surfels, how, progress)?
         } else {
-            direct::with(rays, emitters, settings, |direct| {
+            direct::with(rays, emitters, settings, progress, |direct| {
                 Ok(shoot::exact(geometry, &surfels, direct, points, progress)?)
             })?
         };
@@ -272,7 +279,7 @@ fn made(
             Ok((solution, Record::new(&report, geometry.frame.scale)))
         })?;
     let refreshed = journal.run(plan, Stage::Refresh, Some(count), |progress, counters| {
-        let field = Field::new(rays, &surfels, &solution)?;
+        let field = Field::build(rays, &surfels, &solution, progress)?;
         counters.insert("continuous_rays".into(), count * u64::from(settings.refresh.0));
         Ok(refresh(&field, settings.refresh.0, &radiance, progress)?)
     })?;
@@ -328,7 +335,7 @@ mod tests {
     use crate::settings::value::Samples;
     use crate::settings::{Field as Setting, Preset};
     use glam::Vec3;
-    use luxel_scene::{Silent, build::Builder};
+    use luxel_scene::build::Builder;
 
     /// What a stored octree is believed to be must not change under an unchanged key.
     #[test]
