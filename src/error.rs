@@ -15,17 +15,17 @@ pub enum Error {
     #[error(transparent)]
     Settings(#[from] SettingsError),
     #[error(transparent)]
-    Import(#[from] ImportError),
+    Import(ImportError),
     #[error("cannot place the scene's texels")]
     Atlas(#[source] AtlasError),
     #[error("cannot finish the images")]
-    Finish(#[from] FinishError),
+    Finish(#[source] FinishError),
     #[error("cannot turn the scene into surfels; another --voxels may help")]
     Surfels(#[source] SurfelError),
     #[error("light cannot be propagated")]
     Solve(#[source] SolveError),
     #[error("the light at surfels does not fit the scene")]
-    Field(#[from] FieldError),
+    Field(#[source] FieldError),
     #[error("cannot write to the folder {path}; choose another one with --out")]
     Folder { path: PathBuf, source: std::io::Error },
     #[error("{folder} holds the bake itself; choose another folder with --to")]
@@ -38,7 +38,7 @@ pub enum Error {
     )]
     NotStored { group: String, store: PathBuf },
     #[error(transparent)]
-    Export(#[from] ExportError),
+    Export(ExportError),
     #[error(
         "the bake needs about {needed} MiB of memory, more than the {most} MiB that can be had; the largest part are \
          {part} ({part_needs} MiB): {remedy}, or give luxel more memory (swap counts)"
@@ -56,6 +56,39 @@ pub enum Error {
 impl From<Cancelled> for Error {
     fn from(_: Cancelled) -> Self {
         Self::Cancelled
+    }
+}
+
+impl From<ImportError> for Error {
+    fn from(error: ImportError) -> Self {
+        if error.fault.is_cancelled() { Self::Cancelled } else { Self::Import(error) }
+    }
+}
+
+impl From<FinishError> for Error {
+    fn from(error: FinishError) -> Self {
+        match error {
+            FinishError::Cancelled(_) => Self::Cancelled,
+            other => Self::Finish(other),
+        }
+    }
+}
+
+impl From<FieldError> for Error {
+    fn from(error: FieldError) -> Self {
+        match error {
+            FieldError::Cancelled(_) => Self::Cancelled,
+            other => Self::Field(other),
+        }
+    }
+}
+
+impl From<ExportError> for Error {
+    fn from(error: ExportError) -> Self {
+        match error {
+            ExportError::Cancelled => Self::Cancelled,
+            other => Self::Export(other),
+        }
     }
 }
 

@@ -77,9 +77,9 @@ impl Stage {
     pub fn version(self) -> u32 {
         match self {
             Self::Propagate => 4,
-            Self::Surfels | Self::Shoot | Self::Direct | Self::Gather | Self::Finish => 3,
-            Self::Unwrap | Self::Refresh | Self::Sky | Self::Export => 2,
-            Self::Import | Self::Rays | Self::Cache | Self::Clear | Self::Preview => 1,
+            Self::Surfels | Self::Shoot | Self::Direct | Self::Gather | Self::Finish | Self::Export => 3,
+            Self::Unwrap | Self::Refresh | Self::Sky | Self::Preview => 2,
+            Self::Import | Self::Rays | Self::Cache | Self::Clear => 1,
         }
     }
 }

@@ -81,10 +81,13 @@ fn listing(folder: &Path) -> BTreeMap<PathBuf, (SystemTime, Option<Vec<u8>>)> {
     all
 }
 
-/// The scenes of which a run said this.
+/// The scenes of which a run said this, sorted: those that are worked on at the same time may be told in any order.
 fn told(run: &Run, event: &str) -> Vec<String> {
     let lines = run.stdout.lines().map(|line| serde_json::from_str::<Value>(line).unwrap());
-    lines.filter(|e| e["event"] == event).map(|e| e["scene"].as_str().unwrap_or_default().to_owned()).collect()
+    let scenes = lines.filter(|e| e["event"] == event).map(|e| e["scene"].as_str().unwrap_or_default().to_owned());
+    let mut scenes: Vec<String> = scenes.collect();
+    scenes.sort();
+    scenes
 }
 
 /// The last event.

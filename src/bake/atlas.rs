@@ -29,14 +29,14 @@ pub fn run(
     }
     let reason = plan.reason(Stage::Unwrap).to_owned();
     let (atlas, report) = journal.made(Stage::Unwrap, &reason, None, |progress, counters| {
-        let layout = Layout::new(scene);
+        let layout = Layout::build(scene, progress)?;
         let mut unwraps = Unwraps::new();
         let stored = read_unwraps(baking.store, scene, &layout, &mut unwraps);
         layout.complete(scene, &mut unwraps, unwrapper, progress)?;
         let new = unwraps.len() - stored.len();
         write_unwraps(baking.store, scene, &layout, &unwraps, &stored, progress)?;
         let how = settings(baking.settings);
-        let packing = Packing::new(scene, &how, &layout, &unwraps)?;
+        let packing = Packing::new(scene, &how, &layout, &unwraps, progress)?;
         let (placement, is_stored) = placement(baking, &packing, progress)?;
         let (atlas, report) = packing.fill(&placement, progress)?;
         count(&atlas, &report, stored.len(), counters);

@@ -51,6 +51,7 @@ pub fn with<T>(
     rays: &Rays,
     emitters: &Emitters,
     settings: &Settings,
+    progress: &dyn Progress,
     work: impl FnOnce(&dyn Gather) -> Result<T, Error>,
 ) -> Result<T, Error> {
     let how = DirectSettings { samples: settings.shadow_samples.0, ..DirectSettings::default() };
@@ -61,7 +62,7 @@ pub fn with<T>(
     // Emitters are found by rays and by their own tree: no surfel is asked for anything.
     let surfels = Surfels::dark(Grid { origin: glam::Vec3::ZERO, edge: 1.0, size: glam::IVec3::ONE }, Vec::new());
     let dark = Solution::default();
-    let field = Field::new(rays, &surfels, &dark)?;
+    let field = Field::build(rays, &surfels, &dark, progress)?;
     let cuts = lightcuts::Settings {
         threshold: FINER * settings.cut_error.0,
         limit: LONGER * settings.cut_limit.0,
@@ -69,7 +70,7 @@ pub fn with<T>(
         indirect: false,
         emitter_samples: (SAMPLES.0 * emitters.areas.len()).max(SAMPLES.1),
     };
-    work(&Crowd { punctual: Direct::new(rays, &punctual, how), surfaces: Lightcuts::new(&field, cuts) })
+    work(&Crowd { punctual: Direct::new(rays, &punctual, how), surfaces: Lightcuts::build(&field, cuts, progress)? })
 }
 
 /// Lamps and suns one by one, emissive surfaces by cuts.
@@ -141,7 +142,7 @@ mod tests {
             })
             .collect();
         let settings = Settings::default();
-        let found = with(&rays, &emitters, &settings, |g| Ok(g.gather(&receivers, &Silent)?)).unwrap();
+        let found = with(&rays, &emitters, &settings, &Silent, |g| Ok(g.gather(&receivers, &Silent)?)).unwrap();
         let exact = Direct::new(&rays, &emitters, DirectSettings::default()).gather(&receivers, &Silent).unwrap();
         let (mut square, mut bias, mut mean) = (0.0, 0.0, 0.0);
         for (a, b) in found.iter().zip(&exact) {

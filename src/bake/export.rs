@@ -3,10 +3,10 @@
 use std::path::{Path, PathBuf};
 
 use luxel_export::{
-    BoundMap, Depth, Files, Lightmap, Original, OutputSet, Report, ToneMap, encode_png, report::Warning,
+    BoundMap, Depth, Files, Lightmap, Original, OutputSet, Report, ToneMap, encode_png_with, report::Warning,
     sample_lightmap,
 };
-use luxel_scene::Scene;
+use luxel_scene::{Progress, Scene};
 use luxel_transport::Rgb;
 
 use super::journal::Journal;
@@ -31,8 +31,9 @@ pub fn preview(baking: &Baking, tracer: &Tracer, lit: &Lit, journal: &mut Journa
             None => Picture::black(tracer.geometry.scene),
         };
         counters.insert("pixels".into(), picture.radiance.len() as u64);
-        let tone = ToneMap::auto(&picture.radiance);
-        Ok(encode_png(&tone.picture(picture.width, picture.height, &picture.radiance))?)
+        let tone = ToneMap::auto(&picture.radiance, progress)?;
+        let picture = tone.picture(picture.width, picture.height, &picture.radiance, progress)?;
+        Ok(encode_png_with(&picture, progress)?)
     })?;
     Ok(png)
 }
@@ -56,9 +57,9 @@ pub fn glb(
     report: &mut Report,
     journal: &mut Journal,
 ) -> Result<Vec<u8>, Error> {
-    journal.always(Stage::Export, plan.reason(Stage::Export), Some(0), |_, counters| {
+    journal.always(Stage::Export, plan.reason(Stage::Export), Some(0), |progress, counters| {
         let names = request.outputs.lightmap_names(lit.lightmaps.len());
-        let glb = original.lightmapped(scene, &lit.atlas, &lit.lightmaps, &names)?;
+        let glb = original.lightmapped(scene, &lit.atlas, &lit.lightmaps, &names, progress)?;
         report.warnings.extend(glb.notices.iter().map(Warning::from));
         let clipped: usize = glb.pages.iter().map(|p| p.clipped).sum();
         counters.insert("bytes".into(), glb.bytes.len() as u64);
@@ -90,10 +91,11 @@ pub fn write(
     glb: &[u8],
     key: &[u8; 32],
     report: &mut Report,
+    progress: &dyn Progress,
 ) -> Result<Vec<PathBuf>, Error> {
     let key = blake3::Hash::from(*key).to_hex();
     let files = Files { lightmaps, bounds, depth: Depth::Float, key: &key, preview_png: picture, glb };
-    outputs.write(&files, report)?;
+    outputs.write(&files, report, progress)?;
     let listed = report.outputs.iter().map(|o| outputs.folder().join(&o.path));
     Ok(listed.chain([outputs.report()]).collect())
 }

@@ -110,7 +110,7 @@ pub fn run(
         Ok((lightmaps, bounds))
     })?;
     let Some((lightmaps, bounds)) = images else { return Ok((Vec::new(), Vec::new())) };
-    if let Some(store) = baking.store {
+    if baking.store.is_some() {
         let summary = Summary {
             sums: *sums,
             surfels: facts.surfels,
@@ -119,7 +119,9 @@ pub fn run(
             pages: lightmaps.len() as u32,
             bounds: bounds.len() as u32,
         };
-        store.put(Kind::Finish, &baking.keys.finish, |out| write(out, &summary, &lightmaps, &bounds));
+        baking.put(Kind::Finish, &baking.keys.finish, journal.progress, |out| {
+            write(out, &summary, &lightmaps, &bounds)
+        })?;
     }
     Ok((lightmaps, bounds))
 }
@@ -181,14 +183,14 @@ fn images(
         let how = FinishSettings { stitch: false, ..how };
         let buried = &buried;
         let value = move |i: usize| (!buried[i]).then(|| Rgb::splat(bound[i]));
-        let (images, _) = finish(scene, atlas, value, &how)?;
+        let (images, _) = finish(scene, atlas, value, &how, progress)?;
         bounds = images.into_iter().map(bound_map).collect::<Result<_, _>>()?;
     }
     progress.advance(1);
     progress.check()?;
     let is_buried = &buried;
     let value = move |i: usize| (!is_buried[i]).then(|| irradiance[i]);
-    let (images, report) = finish(scene, atlas, value, &how)?;
+    let (images, report) = finish(scene, atlas, value, &how, progress)?;
     let places = places(atlas, &buried);
     let lightmaps = images.into_iter().zip(places).map(|(i, p)| lightmap(i, p)).collect::<Result<_, _>>()?;
     progress.advance(1);

@@ -17,10 +17,10 @@ use crate::store::Key;
 /// The latter is read now because a fault in it must not come out after the bake, and kept because the file may be
 /// another one by then: who saves a level while it is baked still gets the light of the level that was.
 pub fn open(path: &Path, settings: &Settings, progress: &dyn Progress) -> Result<Opened, Error> {
-    let mut scene = load(path, settings)?;
+    let mut scene = load(path, settings, progress)?;
     progress.advance(1);
     progress.check()?;
-    let original = Original::read(path)?;
+    let original = Original::read_with(path, progress)?;
     original.check_unchanged(&scene.inputs)?;
     let lighting = Lighting::part(&mut scene, settings);
     let mut plan = Plan::new(&scene, settings);
@@ -43,7 +43,7 @@ pub struct Opened {
 pub const STEPS: u64 = 2;
 
 /// Reads the scene, and the sky that the settings name.
-fn load(path: &Path, settings: &Settings) -> Result<Scene, Error> {
+fn load(path: &Path, settings: &Settings, progress: &dyn Progress) -> Result<Scene, Error> {
     let options = ImportOptions {
         metal_diffuse: settings.metal_diffuse.0,
         light_scale: settings.light_scale.0,
@@ -53,8 +53,8 @@ fn load(path: &Path, settings: &Settings) -> Result<Scene, Error> {
         bake_animated: settings.bake_animated,
         ..ImportOptions::default()
     };
-    let mut scene = import::load(path, &options)?;
-    scene.sky = sky(&mut scene, settings)?;
+    let mut scene = import::load_with(path, &options, progress)?;
+    scene.sky = sky(&mut scene, settings, progress)?;
     if !scene.sky.is_dark() || scene.triangle_count() == 0 {
         // The importer does not know of the sky; and light is not what a scene without geometry lacks.
         scene.notices.retain(|n| n.code != "no-light");
@@ -62,7 +62,7 @@ fn load(path: &Path, settings: &Settings) -> Result<Scene, Error> {
     Ok(scene)
 }
 
-fn sky(scene: &mut Scene, settings: &Settings) -> Result<Sky, Error> {
+fn sky(scene: &mut Scene, settings: &Settings, progress: &dyn Progress) -> Result<Sky, Error> {
     let strength = settings.sky_strength.0;
     Ok(match &settings.sky {
         SkySetting::None => Sky::None,
@@ -71,7 +71,7 @@ fn sky(scene: &mut Scene, settings: &Settings) -> Result<Sky, Error> {
             Sky::Gradient { zenith: *zenith * strength, horizon: *horizon * strength, ground: *ground * strength }
         }
         SkySetting::Image(path) => {
-            let loaded = import::load_sky(path, &Limits::default())?;
+            let loaded = import::load_sky_with(path, &Limits::default(), progress)?;
             scene.notices.extend(loaded.notices);
             scene.inputs.push(loaded.input);
             let image = SkyImage {
@@ -131,6 +131,7 @@ pub fn key(scene: &Scene, settings: &Settings, stages: &[Stage], matters: impl F
 #[cfg(test)]
 mod tests {
     use super::*;
+    use luxel_scene::Silent;
 
     #[test]
     fn the_same_sky_image_by_another_path_is_the_same_input() {
@@ -141,12 +142,12 @@ mod tests {
             let path = folder.path().join(name);
             exr::prelude::write_rgb_file(&path, 8, 4, |_, _| (radiance, 1.0, 1.0)).unwrap();
             let settings = Settings { sky: SkySetting::Image(path), ..Settings::default() };
-            key(&load(&scene, &settings).unwrap(), &settings, &Stage::ALL, |_| true)
+            key(&load(&scene, &settings, &Silent).unwrap(), &settings, &Stage::ALL, |_| true)
         };
         let noon = key_of("noon.exr", 1.0);
         assert_eq!(key_of("twelve.exr", 1.0), noon);
         assert_ne!(key_of("noon.exr", 2.0), noon, "other light is another input");
         let none = Settings::default();
-        assert_ne!(key(&load(&scene, &none).unwrap(), &none, &Stage::ALL, |_| true), noon);
+        assert_ne!(key(&load(&scene, &none, &Silent).unwrap(), &none, &Stage::ALL, |_| true), noon);
     }
 }

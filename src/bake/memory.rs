@@ -37,7 +37,31 @@ impl Room {
 /// # Errors
 /// [`Error::Memory`] where it cannot fit.
 pub fn check(estimate: &Memory) -> Result<Option<Warning>, Error> {
-    room().map_or(Ok(None), |room| judge(estimate, room))
+    Budget::now().check(estimate)
+}
+
+/// The memory that there was at some time: of several bakes in one process, none is judged by what the others hold.
+#[derive(Clone, Copy, Debug)]
+pub struct Budget(Option<Room>);
+
+impl Budget {
+    /// As things are.
+    pub fn now() -> Self {
+        Self(room())
+    }
+
+    /// Compares an estimate with it.
+    ///
+    /// # Errors
+    /// [`Error::Memory`] where it cannot fit.
+    pub fn check(&self, estimate: &Memory) -> Result<Option<Warning>, Error> {
+        self.0.map_or(Ok(None), |room| judge(estimate, room))
+    }
+
+    /// What can be taken without getting tight [bytes]; none where nobody tells.
+    pub fn at_ease(&self) -> Option<u64> {
+        self.0.map(|room| (TIGHT * room.now.min(room.most) as f64) as u64)
+    }
 }
 
 fn judge(estimate: &Memory, room: Room) -> Result<Option<Warning>, Error> {

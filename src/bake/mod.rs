@@ -20,22 +20,24 @@ mod report;
 mod texels;
 mod tracer;
 mod transport;
+mod turns;
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
+use std::io;
 use std::panic::AssertUnwindSafe;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use luxel_atlas::{Atlas, AtlasReport, InProcess, Unwrapper, Worker};
 use luxel_export::{BoundMap, Lightmap, OutputSet, Report, report::Warning};
-use luxel_scene::{InputFile, Progress, Scene};
+use luxel_scene::{InputFile, Progress, Scene, Watched};
 use luxel_transport::geometry::Geometry;
 
 use crate::Error;
 use crate::plan::{Plan, Stage};
 use crate::settings::{Resolved, Settings};
-use crate::store::{Store, StoreOptions};
+use crate::store::{Key, Kind, Store, StoreOptions, Writer};
 use groups::Lighting;
 use journal::Journal;
 use keys::Keys;
@@ -46,6 +48,7 @@ use receivers::Receivers;
 pub(crate) use report::{json_form, versions};
 use tracer::Tracer;
 use transport::Transport;
+pub use turns::{Alone, Gate, Leave, Turn, Turns};
 
 /// What to bake, where to, and how.
 #[derive(Clone, Debug)]
@@ -109,6 +112,19 @@ struct Baking<'a> {
 }
 
 impl Baking<'_> {
+    /// Stores an artefact, where there is a store, as long as the bake is wanted; returns the length of its body.
+    fn put(
+        &self,
+        kind: Kind,
+        key: &Key,
+        progress: &dyn Progress,
+        fill: impl FnOnce(&mut Watched<&mut Writer>) -> io::Result<()>,
+    ) -> Result<Option<u64>, Error> {
+        let written = self.store.and_then(|store| store.put(kind, key, |out| fill(&mut Watched::new(out, progress))));
+        progress.check()?;
+        Ok(written)
+    }
+
     /// To be asked before the light of a group is made.
     fn may_make(&self, group: &str) -> Result<(), Error> {
         match self.store {
@@ -123,7 +139,13 @@ impl Baking<'_> {
 /// Bakes a scene file to files (the chain is shown in the crate's documentation). When it fails or is cancelled, the
 /// files of an earlier bake are untouched.
 pub fn bake(request: &Request, progress: &dyn Progress) -> Result<Baked, Error> {
-    with_threads(&request.settings.settings, || run(request, None, progress))
+    bake_in_turn(request, &Alone(request.settings.settings.threads.0), progress)
+}
+
+/// [`bake`] among others: once the scene is open it waits at a gate, which also says on how many threads it goes on.
+/// How many makes no difference to any byte but those of the times in the report.
+pub fn bake_in_turn(request: &Request, gate: &dyn Gate, progress: &dyn Progress) -> Result<Baked, Error> {
+    begin(request, None, gate, progress)
 }
 
 /// Writes the outputs of a bake with other weights of its light groups, from their stored light alone.
@@ -131,28 +153,48 @@ pub fn bake(request: &Request, progress: &dyn Progress) -> Result<Baked, Error> 
 /// # Errors
 /// As a bake; a group that the scene does not have; light that is not stored.
 pub fn export(request: &Request, mix: &Mix, progress: &dyn Progress) -> Result<Baked, Error> {
-    with_threads(&request.settings.settings, || run(request, Some(mix), progress))
+    begin(request, Some(mix), &Alone(request.settings.settings.threads.0), progress)
 }
 
-fn run(request: &Request, mix: Option<&Mix>, progress: &dyn Progress) -> Result<Baked, Error> {
+fn begin(request: &Request, mix: Option<&Mix>, gate: &dyn Gate, progress: &dyn Progress) -> Result<Baked, Error> {
     let start = Instant::now();
     let settings = &request.settings.settings;
     let mut journal = Journal::new(progress);
-    let opened = journal.always(Stage::Import, "", Some(input::STEPS), |progress, counters| {
-        let opened = input::open(&request.scene, settings, progress)?;
-        counters.insert("triangles".into(), opened.scene.triangle_count() as u64);
-        counters.insert("files".into(), opened.scene.inputs.len() as u64);
-        Ok(opened)
+    let mut opened = on_threads(gate.opening(), || {
+        journal.always(Stage::Import, "", Some(input::STEPS), |progress, counters| {
+            let opened = input::open(&request.scene, settings, progress)?;
+            counters.insert("triangles".into(), opened.scene.triangle_count() as u64);
+            counters.insert("files".into(), opened.scene.inputs.len() as u64);
+            Ok(opened)
+        })
     })?;
-    let input::Opened { scene, mut lighting, original, mut plan } = opened;
+    journal.explain(Stage::Import, opened.plan.reason(Stage::Import));
+    let leave = gate.enter(&opened.plan.least_memory(settings), progress)?;
+    opened.plan.warnings.extend(leave.warning);
+    on_threads(leave.threads, move || run(request, opened, mix, journal, start))
+}
+
+/// Everything after the import.
+fn run(
+    request: &Request,
+    opened: input::Opened,
+    mix: Option<&Mix>,
+    mut journal: Journal,
+    start: Instant,
+) -> Result<Baked, Error> {
+    let progress = journal.progress;
+    let settings = &request.settings.settings;
+    let input::Opened { scene, mut lighting, original, plan } = opened;
     let weights = mix.map_or(Ok(BTreeMap::new()), |mix| mix.weigh(&mut lighting))?;
-    journal.explain(Stage::Import, plan.reason(Stage::Import));
-    plan.warnings.extend(memory::check(&plan.least_memory(settings))?);
+    progress.check()?;
     let inputs = input::Inputs::new(&request.scene, &scene, &original);
+    progress.check()?;
     let key = input::key(&scene, settings, &Stage::ALL, matters);
     let keys = Keys::new(&scene, &lighting, settings, &plan);
     journal.cause = cause::of(&request.outputs, &keys, &request.settings);
+    progress.check()?;
     let geometry = Geometry::new(&scene);
+    progress.check()?;
     export::probe(&request.outputs)?;
     let store = request.store.open(request.outputs.folder());
     let baking = Baking {
@@ -175,11 +217,10 @@ fn run(request: &Request, mix: Option<&Mix>, progress: &dyn Progress) -> Result<
     let glb = export::glb(request, &original, &scene, &plan, &lit, &mut report, &mut journal)?;
     let warnings = store.take_notes();
     report::fill(&mut report, &scene, &baking, &lit, warnings, journal, start.elapsed().as_secs_f64());
-    // From here on the old files are replaced.
-    progress.check()?;
     // Beside the encoders lives what they read.
     let Lit { lightmaps, bounds, .. } = lit;
-    let files = export::write(&request.outputs, (&lightmaps, &bounds), picture.as_deref(), &glb, &key, &mut report)?;
+    let images = (&lightmaps[..], &bounds[..]);
+    let files = export::write(&request.outputs, images, picture.as_deref(), &glb, &key, &mut report, progress)?;
     store.evict();
     Ok(Baked { report, files, inputs: inputs.read, seconds: start.elapsed().as_secs_f64() })
 }
@@ -294,9 +335,13 @@ fn worker(path: &Path) -> Worker {
     Worker::new(path, ["unwrap-worker"])
 }
 
-/// Runs `work` on a pool of its own, so that an embedding program keeps its threads.
+/// Runs `work` on as many threads as the settings say.
 fn with_threads<T: Send>(settings: &Settings, work: impl FnOnce() -> Result<T, Error> + Send) -> Result<T, Error> {
-    let threads = settings.threads.0;
+    on_threads(settings.threads.0, work)
+}
+
+/// Runs `work` on a pool of its own, so that an embedding program keeps its threads.
+fn on_threads<T: Send>(threads: u32, work: impl FnOnce() -> Result<T, Error> + Send) -> Result<T, Error> {
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads as usize).build();
     let pool = pool.map_err(|source| Error::Threads { threads, source })?;
     guarded(|| pool.install(work))

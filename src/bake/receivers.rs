@@ -8,7 +8,7 @@ use std::io::{self, Write};
 use bytemuck::{Pod, Zeroable};
 use glam::Vec3;
 use luxel_atlas::{Atlas, Chart, Texel};
-use luxel_scene::Progress;
+use luxel_scene::{Cancelled, Progress, watched};
 use luxel_transport::{
     gather::{
         Gather, Gathered, Receiver,
@@ -123,10 +123,13 @@ impl<'a> Side<'a> {
             let length = block.len();
             let found: Vec<(usize, Sides)> = block
                 .into_par_iter()
-                .map(|i| (i, self.original(i)))
-                .filter(|(_, receiver)| validity::is_buried(rays, receiver))
-                .map(|(i, receiver)| (i, validity::sides(rays, &receiver)))
+                .filter_map(|i| {
+                    // Nobody reads on once one of them was cancelled.
+                    let receiver = (!progress.is_cancelled()).then(|| self.original(i))?;
+                    validity::is_buried(rays, &receiver).then(|| (i, validity::sides(rays, &receiver)))
+                })
                 .collect();
+            progress.check()?;
             for (i, sides) in found {
                 match sides.larger {
                     Some(receiver) => self.moved.push((i, receiver)),
@@ -156,20 +159,23 @@ impl<'a> Side<'a> {
             // Interpolation looks at whole charts; a gather at every texel need not.
             let end = if nodes.is_some() { self.block_end(first) } else { self.len().min(first + BLOCK) };
             let open: Vec<usize> = (first..end).filter(|i| !self.buried[*i]).collect();
-            let receivers: Vec<Receiver> = open.iter().map(|i| self.receiver(*i)).collect();
+            let receivers = watched(&open, progress).map(|i| Ok(self.receiver(*i?)));
+            let receivers = receivers.collect::<Result<Vec<Receiver>, Cancelled>>()?;
             let light = match nodes {
                 None => {
                     gathered += receivers.len() as u64;
                     gatherer.gather(&receivers, progress)?
                 }
                 Some(how) => {
+                    progress.check()?;
                     let cells: Vec<Cell> = open.iter().map(|i| self.cell(*i)).collect();
                     let found = interpolate(gatherer, how, &receivers, &cells, progress)?;
                     gathered += found.nodes as u64;
                     found.light
                 }
             };
-            for (i, g) in open.iter().zip(&light) {
+            for item in watched(open.iter().zip(&light), progress) {
+                let (i, g) = item?;
                 put(*i, g);
             }
             progress.advance((end - first - open.len()) as u64);

@@ -88,15 +88,13 @@ fn direct_layers(
     let emitters = group.emitters(transport.emitters(tracer.geometry));
     journal.always(Stage::Direct, plan.reason(Stage::Direct), Some(receivers.len()), |progress, counters| {
         let mut found = dark(receivers, false);
-        direct::with(rays, &emitters, settings, |direct| {
+        direct::with(rays, &emitters, settings, progress, |direct| {
             gather(receivers, direct, None, &mut found, progress, counters)
         })?;
-        if let Some(store) = baking.store {
-            store.put(Kind::Direct, &keys.direct, |out| {
-                put_head(out, counters)?;
-                write(out, &found)
-            });
-        }
+        baking.put(Kind::Direct, &keys.direct, progress, |out| {
+            put_head(out, counters)?;
+            write(out, &found)
+        })?;
         Ok(found)
     })
 }
@@ -127,12 +125,10 @@ fn sky_layers(
             gather(receivers, &sky_light::Bright(&sky), None, &mut found, progress, counters)?;
         }
         gather(receivers, &sky_light::Smooth(&sky), nodes(settings), &mut found, progress, counters)?;
-        if let Some(store) = baking.store {
-            store.put(Kind::Sky, &keys.sky, |out| {
-                put_head(out, counters)?;
-                write(out, &found)
-            });
-        }
+        baking.put(Kind::Sky, &keys.sky, progress, |out| {
+            put_head(out, counters)?;
+            write(out, &found)
+        })?;
         Ok(found)
     })
 }
@@ -169,7 +165,7 @@ fn reflected_layers(
     let rays = tracer.rays(plan, journal)?;
     journal.always(Stage::Gather, plan.reason(Stage::Gather), Some(receivers.len()), |progress, counters| {
         let mut found = dark(receivers, bound);
-        let field = Field::new(rays, &surfels, &solution)?;
+        let field = Field::build(rays, &surfels, &solution, progress)?;
         let to = &mut found;
         match settings.gatherer() {
             Gatherer::Lookup => gather(receivers, &Lookup::new(&field), None, to, progress, counters)?,
@@ -178,17 +174,15 @@ fn reflected_layers(
                 gather(receivers, &gatherer, nodes(settings), to, progress, counters)?;
             }
             Gatherer::Lightcuts => {
-                let gatherer = Lightcuts::new(&field, lightcut_settings(settings));
+                let gatherer = Lightcuts::build(&field, lightcut_settings(settings), progress)?;
                 gather(receivers, &gatherer, nodes(settings), to, progress, counters)?;
             }
         }
-        if let Some(store) = baking.store {
-            store.put(Kind::Gather, key, |out| {
-                put_head(out, &record)?;
-                put_head(out, counters)?;
-                write(out, &found)
-            });
-        }
+        baking.put(Kind::Gather, key, progress, |out| {
+            put_head(out, &record)?;
+            put_head(out, counters)?;
+            write(out, &found)
+        })?;
         Ok(found)
     })
 }

@@ -28,7 +28,9 @@ impl<'g> Tracer<'g> {
             return Ok(rays);
         }
         let group = journal.group.take();
-        let rays = journal.always(Stage::Rays, plan.reason(Stage::Rays), Some(0), |_, _| Ok(Rays::new(self.geometry)));
+        let rays = journal.always(Stage::Rays, plan.reason(Stage::Rays), Some(0), |progress, _| {
+            Ok(Rays::build(self.geometry, progress)?)
+        });
         journal.group = group;
         let rays = rays?;
         Ok(self.rays.get_or_init(|| rays))

@@ -123,12 +123,10 @@ impl Transport {
             record.counters.insert(Stage::Cache.name().into(), counters.clone());
             progress.advance(1);
             progress.check()?;
-            let written = baking.store.and_then(|store| {
-                store.put(Kind::Solution, key, |out| {
-                    put_head(out, &record)?;
-                    octree.write(out)
-                })
-            });
+            let written = baking.put(Kind::Solution, key, progress, |out| {
+                put_head(out, &record)?;
+                octree.write(out)
+            })?;
             counters.extend(written.map(|bytes| ("bytes".into(), bytes)));
             progress.advance(1);
             Ok(())
@@ -175,7 +173,7 @@ impl Transport {
             })?;
         counted.push((Stage::Propagate, journal.last(Stage::Propagate)));
         let refreshed = journal.run(plan, Stage::Refresh, Some(count), |progress, counters| {
-            let field = Field::new(rays, &surfels, &solution)?;
+            let field = Field::build(rays, &surfels, &solution, progress)?;
             counters.insert("continuous_rays".into(), count * u64::from(settings.refresh.0));
             Ok(refresh(&field, settings.refresh.0, &radiance, progress)?)
         })?;
@@ -211,13 +209,13 @@ impl Transport {
             // The light of emissive surfaces is shot: what surfels emit is asked by nobody.
             surfels.emission = Vec::new();
             counters.insert("surfels".into(), surfels.list.len() as u64);
-            if let Some(store) = baking.store {
+            if baking.store.is_some() {
                 let dark = vec![Rgb::ZERO; surfels.list.len()];
                 let dark = Solution { direct: dark.clone(), indirect: dark };
-                store.put(Kind::Surfels, &keys.surfels, |out| {
+                baking.put(Kind::Surfels, &keys.surfels, progress, |out| {
                     put_head(out, counters)?;
                     Octree::new(&surfels, &dark).write(out)
-                });
+                })?;
             }
             Ok(surfels)
         })?;
@@ -256,19 +254,17 @@ impl Transport {
                 let how = PhotonSettings { primary, directions: PHOTONS_PER_POINT };
                 shoot::photons(rays, &emitters, surfels, how, progress)?
             } else {
-                direct::with(rays, &emitters, settings, |direct| {
+                direct::with(rays, &emitters, settings, progress, |direct| {
                     Ok(shoot::exact(geometry, surfels, direct, points, progress)?)
                 })?
             };
             counters.insert("primary_photons".into(), shot.primary_photons);
             counters.insert("direct_photons".into(), shot.direct_photons);
             counters.insert("continuous_rays".into(), shot.rays);
-            if let Some(store) = baking.store {
-                store.put(Kind::Shoot, key, |out| {
-                    put_head(out, counters)?;
-                    put_slice(out, &shot.irradiance)
-                });
-            }
+            baking.put(Kind::Shoot, key, progress, |out| {
+                put_head(out, counters)?;
+                put_slice(out, &shot.irradiance)
+            })?;
             Ok(shot.irradiance)
         })?;
         Ok(Some((light, journal.last(Stage::Shoot))))

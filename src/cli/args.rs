@@ -1,5 +1,6 @@
 //! What can be written on the command line. The settings' flags and their help come from [`FIELDS`].
 
+use std::num::NonZeroUsize;
 use std::path::PathBuf;
 use std::time::Duration;
 
@@ -18,7 +19,7 @@ Examples:
   luxel bake level.glb --preset draft           a first look
   luxel bake level.glb --sky 300,400,600        with a blue sky of 300..600 cd/m²
   luxel bake level.glb --sky noon.hdr           with an image as the sky
-  luxel bake levels/ --out lit/                 every scene below a folder
+  luxel bake levels/ --out lit/                 every scene below a folder, several at a time
   luxel bake levels/ --check                    bakes nothing; exit code 3 when a lightmap is not current
   luxel plan level.glb                          what would run, and why
   luxel watch levels/                           bakes, and again whatever is saved
@@ -37,7 +38,7 @@ Events of --json, one object per line, with their fields:
   baked        scene, seconds, outputs, quality, warnings
   failed       scene, error, causes               its last good outputs stay
   done         scenes, failed, unchanged, stale   the last event: a number, and lists of scenes
-  interrupted  scene, failed                      the last event after Ctrl-C
+  interrupted  scene, scenes, failed              the last event after Ctrl-C; scenes were being baked, scene is the first
   usage        error, causes                      the last event of a command line that could not be followed
 
 Exit codes: 0 done, 1 some scenes failed, 2 wrong usage, 3 --check found something stale (and nothing failed), 130
@@ -198,6 +199,9 @@ pub struct Baking {
     /// Bake scenes too whose outputs are current
     #[arg(long)]
     pub force: bool,
+    /// Scenes at a time, at most; fewer where memory is short [default: one for every thread]
+    #[arg(long, value_name = "N")]
+    pub jobs: Option<NonZeroUsize>,
 }
 
 #[derive(Debug, Args)]

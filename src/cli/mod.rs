@@ -1,9 +1,10 @@
-//! The command line: reads it, bakes scene by scene, tells what happened, and ends with the exit code of the contract.
+//! The command line: reads it, does what it says scene by scene, tells what happened, and ends with the exit code of the contract.
 
 mod amount;
 mod args;
 mod cache;
 mod export;
+mod fleet;
 mod print;
 mod progress;
 mod watch;
@@ -16,16 +17,15 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::Context;
 use clap::Parser;
+use luxel::Error;
 use luxel::current::{self, State};
 use luxel::discover::{self, Found, Search};
 use luxel::settings::{Layer, for_scene};
-use luxel::watch::Finished;
-use luxel::{Error, Request};
 use luxel_export::{ExportError, OutputSet};
 use serde_json::json;
 
 use args::{Bake, Baking, Cli, Common, Export, Task, Watch};
-use progress::{Reporter, Style, event, say};
+use progress::{Reporter, Screen, Style, event, say};
 
 const DONE: u8 = 0;
 const SOME_FAILED: u8 = 1;
@@ -55,7 +55,7 @@ pub fn main() -> ExitCode {
         Task::Defaults | Task::UnwrapWorker => false,
     };
     let code = match cli.task {
-        Task::Bake(args) => bake(&args),
+        Task::Bake(args) => fleet::bake(&args),
         Task::Plan(args) => plan(&args),
         Task::Watch(args) => watch::watch(&args),
         Task::Export(args) => export::export(&args),
@@ -145,34 +145,6 @@ fn listen(handler: impl FnMut() + Send + 'static) -> Result<(), ctrlc::Error> {
     ctrlc::set_handler(handler)
 }
 
-fn bake(args: &Baking) -> anyhow::Result<u8> {
-    let Bake { common, out, storing } = &args.bake;
-    let task = prepare(common, out.as_deref())?;
-    let places = places(&task.found, out.as_deref())?;
-    let worker = std::env::current_exe().ok();
-    each(&task, places, |found, outputs, reporter| {
-        let settings = for_scene(&found.scene, task.config.as_ref(), &common.settings.0)?;
-        if !args.force {
-            match current::check(&found.scene, &outputs, &settings, reporter)? {
-                State::Current(now) => {
-                    print::unchanged(task.style, &found.scene, &now.files);
-                    return Ok(End::Unchanged);
-                }
-                State::Stale(reasons) => print::stale(task.style, &found.scene, &reasons),
-            }
-        }
-        if args.check {
-            return Ok(End::Stale);
-        }
-        let request =
-            Request { scene: found.scene.clone(), outputs, settings, worker: worker.clone(), store: storing.options() };
-        let baked = luxel::bake(&request, reporter)?;
-        reporter.finish();
-        print::baked(task.style, &found.scene, Finished::from(baked).done);
-        Ok(End::Done)
-    })
-}
-
 fn plan(args: &Bake) -> anyhow::Result<u8> {
     let common = &args.common;
     let task = prepare(common, args.out.as_deref())?;
@@ -201,50 +173,67 @@ enum End {
     Stale,
 }
 
+/// What became of a scene.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Fate {
+    /// Nobody has begun with it.
+    Waiting,
+    Over(End),
+    /// Its error has been told.
+    Failed,
+    /// Ctrl-C came meanwhile.
+    Interrupted,
+}
+
 /// Where a scene's files go, if there is such a place.
 type Place = Result<OutputSet, ExportError>;
 
-/// Does `work` for every scene with its place, goes on after a failure, and names the failed ones at the end.
+/// Does `work` for every scene with its place, one after another, goes on after a failure, and names the failed ones at
+/// the end.
 fn each(
     task: &Job,
     places: Vec<Place>,
     mut work: impl FnMut(&Found, OutputSet, &Reporter) -> Result<End, Error>,
 ) -> anyhow::Result<u8> {
-    let [mut failed, mut unchanged, mut stale]: [Vec<&PathBuf>; 3] = Default::default();
     for (path, error) in &task.missing {
         print::failed(task.style, path, error);
-        failed.push(path);
     }
-    for (found, place) in task.found.iter().zip(places) {
+    let mut fates = vec![Fate::Waiting; task.found.len()];
+    for ((found, place), fate) in task.found.iter().zip(places).zip(&mut fates) {
         let name = print::written(&found.scene);
         if matches!(task.style, Style::Lines | Style::Bar) {
             say(&name);
         }
-        let reporter = Reporter::new(task.style, &name, task.cancelled.clone());
+        let screen = Screen::new(task.style);
+        let reporter = Reporter::on(&screen, 0, &name, task.cancelled.clone());
         let done = place.map_err(Error::from).and_then(|outputs| work(found, outputs, &reporter));
         reporter.finish();
-        match done {
-            Ok(End::Done) => {}
-            Ok(End::Unchanged) => unchanged.push(&found.scene),
-            Ok(End::Stale) => stale.push(&found.scene),
+        *fate = match done {
+            Ok(end) => Fate::Over(end),
             Err(Error::Cancelled) => {
-                match task.style {
-                    Style::Json => {
-                        event(&json!({ "event": "interrupted", "scene": name, "failed": written(&failed) }));
-                    }
-                    // Who interrupts knows it, and the exit code tells others.
-                    Style::Quiet => {}
-                    Style::Lines | Style::Bar => say(&format!("interrupted; {name} is not baked")),
-                }
-                name_all(task, &failed, "failed");
-                return Ok(INTERRUPTED);
+                *fate = Fate::Interrupted;
+                break;
             }
             Err(error) => {
                 print::failed(task.style, &found.scene, &anyhow::Error::new(error));
-                failed.push(&found.scene);
+                Fate::Failed
             }
-        }
+        };
     }
+    Ok(conclude(task, &fates))
+}
+
+/// Says in the end what became of all scenes, in their order, and with which code the process ends.
+fn conclude(task: &Job, fates: &[Fate]) -> u8 {
+    let of = |which: Fate| task.found.iter().zip(fates).filter(move |(_, fate)| **fate == which).map(|(f, _)| &f.scene);
+    let failed: Vec<&PathBuf> = task.missing.iter().map(|(path, _)| path).chain(of(Fate::Failed)).collect();
+    let begun: Vec<&PathBuf> = of(Fate::Interrupted).collect();
+    if let Some(first) = begun.first().copied().or_else(|| of(Fate::Waiting).next()) {
+        interrupted(task, first, &begun, &failed);
+        return INTERRUPTED;
+    }
+    let (unchanged, stale): (Vec<_>, Vec<_>) =
+        (of(Fate::Over(End::Unchanged)).collect(), of(Fate::Over(End::Stale)).collect());
     if task.style == Style::Json {
         event(&json!({
             "event": "done",
@@ -258,11 +247,29 @@ fn each(
         name_all(task, &stale, "are stale");
     }
     name_all(task, &failed, "failed");
-    Ok(match (failed.is_empty(), stale.is_empty()) {
+    match (failed.is_empty(), stale.is_empty()) {
         (false, _) => SOME_FAILED,
         (true, false) => STALE,
         (true, true) => DONE,
-    })
+    }
+}
+
+/// Ctrl-C came: the first scene that is not done for that, and all that were `begun`.
+fn interrupted(task: &Job, first: &Path, begun: &[&PathBuf], failed: &[&PathBuf]) {
+    let first = print::written(first);
+    match task.style {
+        Style::Json => {
+            let (scenes, failed) = (written(begun), written(failed));
+            event(&json!({ "event": "interrupted", "scene": first, "scenes": scenes, "failed": failed }));
+        }
+        // Who interrupts knows it, and the exit code tells others.
+        Style::Quiet => {}
+        Style::Lines | Style::Bar if begun.len() > 1 => {
+            say(&format!("interrupted; not baked: {}", written(begun).join(", ")));
+        }
+        Style::Lines | Style::Bar => say(&format!("interrupted; {first} is not baked")),
+    }
+    name_all(task, failed, "failed");
 }
 
 fn written(scenes: &[&PathBuf]) -> Vec<String> {

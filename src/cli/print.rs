@@ -8,7 +8,10 @@ use luxel::watch::event::{Done, Event};
 use luxel_export::report::Warning;
 use serde_json::json;
 
-use crate::cli::progress::{Style, duration, event, out, say};
+use crate::cli::progress::{Reporter, Style, duration, event, out, say};
+
+/// Who shows a line to a person.
+type Say<'s> = &'s dyn Fn(&str);
 
 /// A path in an event. One that is not Unicode has no form in JSON: its other bytes are replaced.
 pub fn written(path: &Path) -> String {
@@ -17,11 +20,20 @@ pub fn written(path: &Path) -> String {
 
 /// A finished scene: its files, and what a person should know.
 pub fn baked(style: Style, scene: &Path, done: Done) {
+    baked_by(style, &say, scene, done);
+}
+
+/// [`baked`] of one scene among others.
+pub fn baked_on(reporter: &Reporter, scene: &Path, done: Done) {
+    baked_by(reporter.style(), &|line| reporter.say(line), scene, done);
+}
+
+fn baked_by(style: Style, say: Say, scene: &Path, done: Done) {
     match style {
         Style::Quiet => {}
         Style::Json => event(&Event::Baked { scene: scene.into(), done }.to_json()),
         Style::Lines | Style::Bar => {
-            notes(&done.warnings);
+            notes(say, &done.warnings);
             for file in &done.outputs {
                 say(&format!("  wrote {}", file.display()));
             }
@@ -31,23 +43,25 @@ pub fn baked(style: Style, scene: &Path, done: Done) {
 }
 
 /// A scene that is left alone.
-pub fn unchanged(style: Style, scene: &Path, outputs: &[PathBuf]) {
-    match style {
+pub fn unchanged(reporter: &Reporter, scene: &Path, outputs: &[PathBuf]) {
+    match reporter.style() {
         Style::Quiet => {}
         Style::Json => {
             let outputs: Vec<String> = outputs.iter().map(|path| written(path)).collect();
             event(&json!({ "event": "unchanged", "scene": written(scene), "outputs": outputs }));
         }
-        Style::Lines | Style::Bar => say("  unchanged"),
+        Style::Lines | Style::Bar => reporter.say("  unchanged"),
     }
 }
 
 /// A scene whose outputs are not current.
-pub fn stale(style: Style, scene: &Path, reasons: &[Reason]) {
-    match style {
+pub fn stale(reporter: &Reporter, scene: &Path, reasons: &[Reason]) {
+    match reporter.style() {
         Style::Quiet => {}
         Style::Json => event(&json!({ "event": "stale", "scene": written(scene), "reasons": listed(reasons) })),
-        Style::Lines | Style::Bar => reasons.iter().for_each(|reason| say(&format!("  stale: {reason}"))),
+        Style::Lines | Style::Bar => {
+            reasons.iter().for_each(|reason| reporter.say(&format!("  stale: {reason}")));
+        }
     }
 }
 
@@ -55,7 +69,7 @@ fn listed(reasons: &[Reason]) -> Vec<serde_json::Value> {
     reasons.iter().map(Reason::to_json).collect()
 }
 
-fn notes(warnings: &[Warning]) {
+fn notes(say: Say, warnings: &[Warning]) {
     for warning in warnings {
         say(&format!("  note: {}", warning.message));
     }
@@ -101,14 +115,23 @@ pub fn plan(style: Style, scene: &Path, plan: &Plan, state: &State) {
     );
     out(&text);
     if style != Style::Quiet {
-        notes(&plan.warnings);
+        notes(&say, &plan.warnings);
     }
 }
 
 /// A scene that failed.
 pub fn failed(style: Style, scene: &Path, error: &anyhow::Error) {
+    failed_by(style, &say, scene, error);
+}
+
+/// [`failed`] of one scene among others.
+pub fn failed_on(reporter: &Reporter, scene: &Path, error: &anyhow::Error) {
+    failed_by(reporter.style(), &|line| reporter.say(line), scene, error);
+}
+
+fn failed_by(style: Style, say: Say, scene: &Path, error: &anyhow::Error) {
     if style != Style::Json {
-        return failure(Some(scene), error);
+        return failure_by(say, Some(scene), error);
     }
     event(&json!({ "event": "failed", "scene": written(scene), "error": error.to_string(), "causes": causes(error) }));
 }
@@ -125,6 +148,10 @@ pub fn misused(error: &anyhow::Error) {
 
 /// An error with its causes, each on its own line.
 pub fn failure(scene: Option<&Path>, error: &anyhow::Error) {
+    failure_by(&say, scene, error);
+}
+
+fn failure_by(say: Say, scene: Option<&Path>, error: &anyhow::Error) {
     let mut lines = error.chain().map(ToString::to_string);
     let first = lines.next().unwrap_or_default();
     // A message that already names the file does not need it twice.

@@ -1,11 +1,12 @@
 //! The goals by number, in one run: what was measured beside what must be and what is aimed at.
 //!
 //! `cargo bench --bench goals` prints the whole table, `-- quick` leaves out the bakes (the rows on errors, texels and
-//! whole bakes). Rates of one thread are taken from that thread's processor time, so that they do not depend on what
+//! whole bakes), and `-- gaps` prints another one: how soon a bake stops, stage by stage. Rates of one thread are taken from that thread's processor time, so that they do not depend on what
 //! else the machine does (but for shared caches and processors that share a core); only the comparison of two
 //! threads with one needs the wall clock and two idle processors. Ratios compare work that was timed in turns.
 
 mod bakes;
+mod gaps;
 mod heap;
 mod meter;
 mod rates;
@@ -47,11 +48,14 @@ pub fn row(what: &str, value: f64, unit: &str, goal: Goal) {
 }
 
 fn main() {
-    let quick = std::env::args().any(|a| a == "quick");
+    let asked = |what: &str| std::env::args().any(|a| a == what);
     println!("{:<58} {:>9} {:<9} {:>8} {:>7} {:>8}", "what", "value", "unit", "must", "aim", "met");
+    if asked("gaps") {
+        return gaps::measure();
+    }
     rates::measure();
     bakes::start_up();
-    if !quick {
+    if !asked("quick") {
         bakes::measure();
     }
 }

@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 
 use glam::Vec2;
-use luxel_scene::{Progress, Scene};
+use luxel_scene::{Cancelled, Progress, Scene};
 use rayon::prelude::*;
 
 use crate::blocks::{self, Block};
@@ -30,7 +30,7 @@ pub fn build(
     progress: &dyn Progress,
 ) -> Result<(Atlas, AtlasReport), AtlasError> {
     settings.check()?;
-    let layout = Layout::new(scene);
+    let layout = Layout::build(scene, progress)?;
     let mut unwraps = Unwraps::new();
     layout.complete(scene, &mut unwraps, unwrapper, progress)?;
     assemble(scene, settings, &layout, &unwraps, progress)
@@ -47,7 +47,7 @@ pub fn assemble(
     unwraps: &Unwraps,
     progress: &dyn Progress,
 ) -> Result<(Atlas, AtlasReport), AtlasError> {
-    let packing = Packing::new(scene, settings, layout, unwraps)?;
+    let packing = Packing::new(scene, settings, layout, unwraps, progress)?;
     let placement = packing.place(progress)?;
     packing.fill(&placement, progress)
 }
@@ -63,15 +63,16 @@ pub struct Packing<'a> {
 
 impl<'a> Packing<'a> {
     /// # Errors
-    /// Settings out of range, an unwrap that is missing or belongs to another mesh.
+    /// Settings out of range, an unwrap that is missing or belongs to another mesh, cancellation.
     pub fn new(
         scene: &'a Scene,
         settings: &'a AtlasSettings,
         layout: &'a Layout,
         unwraps: &'a Unwraps,
+        progress: &dyn Progress,
     ) -> Result<Self, AtlasError> {
         settings.check()?;
-        Ok(Self { scene, settings, layout, unwraps, blocks: blocks::blocks(scene, layout, unwraps)? })
+        Ok(Self { scene, settings, layout, unwraps, blocks: blocks::blocks(scene, layout, unwraps, progress)? })
     }
 
     /// Finds a place for every chart: the long part.
@@ -95,14 +96,15 @@ impl<'a> Packing<'a> {
     pub fn fill(&self, placement: &Placement, progress: &dyn Progress) -> Result<(Atlas, AtlasReport), AtlasError> {
         let Self { scene, settings, layout, unwraps, blocks } = self;
         progress.begin("texels", blocks.len() as u64);
-        let seeds = Seeds::new(scene, layout);
+        let seeds = Seeds::new(scene, layout, progress)?;
         let side = settings.size;
         let mut atlas = Atlas {
             pages: vec![Page { width: side, height: side }; placement.pages as usize],
-            placed: placed(scene, layout, unwraps, blocks, placement, side),
+            placed: placed(scene, layout, unwraps, (blocks, placement), side, progress)?,
             ..Atlas::default()
         };
         rasterise(blocks, &placement.places, &seeds, progress, &mut atlas)?;
+        progress.check()?;
         let mut report = report(scene, layout, unwraps, settings, &atlas, placement);
         report.enough = place::enough(blocks, placement, settings);
         Ok((atlas, report))
@@ -133,13 +135,14 @@ fn rasterise(
             .zip(&places[next..end])
             .map(|(block, place)| {
                 progress.check()?;
-                let found = texels::texels(block, place);
+                let found = texels::texels(block, place, progress)?;
                 progress.advance(1);
                 Ok(found)
             })
             .collect::<Result<_, AtlasError>>()?;
         for ((block, place), found) in blocks[next..end].iter().zip(&places[next..end]).zip(found) {
             for &instance in &block.instances {
+                progress.check()?;
                 let texels = found.iter().filter(|(of, _)| *of == instance).map(|(_, texel)| *texel);
                 push_chart(atlas, instance, place, seeds.chart(instance, block.number), texels);
             }
@@ -176,8 +179,9 @@ fn push_chart(atlas: &mut Atlas, instance: u32, place: &Place, seed: u64, texels
 struct Seeds(Vec<blake3::Hasher>);
 
 impl Seeds {
-    fn new(scene: &Scene, layout: &Layout) -> Self {
+    fn new(scene: &Scene, layout: &Layout, progress: &dyn Progress) -> Result<Self, Cancelled> {
         let hasher = |(instance, source): (&luxel_scene::Instance, &Source)| {
+            progress.check()?;
             let mut hasher = blake3::Hasher::new();
             match source {
                 Source::None => {}
@@ -185,9 +189,10 @@ impl Seeds {
                 Source::Authored(_) => _ = hasher.update(&mesh_key(&scene.meshes[instance.mesh])),
             }
             hasher.update(instance.name.as_bytes());
-            hasher
+            Ok(hasher)
         };
-        Self(scene.instances.par_iter().zip(&layout.sources).map(hasher).collect())
+        let hashers = scene.instances.par_iter().zip(&layout.sources).map(hasher);
+        Ok(Self(hashers.collect::<Result<_, Cancelled>>()?))
     }
 
     fn chart(&self, instance: u32, number: u32) -> u64 {
@@ -200,10 +205,10 @@ fn placed(
     scene: &Scene,
     layout: &Layout,
     unwraps: &Unwraps,
-    blocks: &[Block],
-    placement: &Placement,
+    (blocks, placement): (&[Block], &Placement),
     side: u32,
-) -> Vec<Option<Placed>> {
+    progress: &dyn Progress,
+) -> Result<Vec<Option<Placed>>, Cancelled> {
     // Blocks of each instance, ascending.
     let mut of: Vec<Vec<usize>> = vec![Vec::new(); scene.instances.len()];
     for (b, block) in blocks.iter().enumerate() {
@@ -233,7 +238,8 @@ fn placed(
             }
         }
     };
-    (0..scene.instances.len()).into_par_iter().map(one).collect()
+    let checked = |i: usize| progress.check().map(|()| one(i));
+    (0..scene.instances.len()).into_par_iter().map(checked).collect()
 }
 
 /// Atlas coordinates of an unwrap's vertices. Vertices outside any placed chart (triangles without area) go to

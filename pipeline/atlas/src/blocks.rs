@@ -2,7 +2,7 @@
 
 use glam::swizzles::Vec2Swizzles;
 use glam::{DVec2, DVec3};
-use luxel_scene::Scene;
+use luxel_scene::{Cancelled, Progress, Scene};
 use rayon::prelude::*;
 
 use crate::authored::LIGHTMAP_SET;
@@ -146,7 +146,12 @@ fn grown(lines: &[Line], p: u32) -> Vec<Line> {
 }
 
 /// All blocks of a scene, in the order of its instances.
-pub(crate) fn blocks(scene: &Scene, layout: &Layout, unwraps: &Unwraps) -> Result<Vec<Block>, AtlasError> {
+pub(crate) fn blocks(
+    scene: &Scene,
+    layout: &Layout,
+    unwraps: &Unwraps,
+    progress: &dyn Progress,
+) -> Result<Vec<Block>, AtlasError> {
     let seeds: Vec<(u32, Kind)> = layout
         .sources
         .iter()
@@ -167,6 +172,7 @@ pub(crate) fn blocks(scene: &Scene, layout: &Layout, unwraps: &Unwraps) -> Resul
     let parts: Vec<Vec<Block>> = seeds
         .par_iter()
         .map(|&(group, kind)| match kind {
+            _ if progress.is_cancelled() => Err(Cancelled.into()),
             Kind::Unwrap(i, key) => {
                 let charts = unwraps.get(&key).ok_or(AtlasError::MissingUnwrap)?;
                 let mesh = &scene.meshes[scene.instances[i].mesh];

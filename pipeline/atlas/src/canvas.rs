@@ -1,6 +1,7 @@
 //! A page while it is finished: which chart owns each texel, what it holds, and spreading values to neighbours.
 
 use glam::{DVec3, Vec3};
+use luxel_scene::{Cancelled, Progress, watched};
 
 /// Trust in a texel whose value was spread to it, against 1 for a whole computed one.
 pub(crate) const SPREAD_TRUST: f32 = 0.05;
@@ -45,30 +46,41 @@ impl Canvas {
 
     /// Gives values to unknown texels of the candidates' charts from known neighbours of the same chart, ring by ring,
     /// as far as they are connected.
-    pub fn fill(&mut self, candidates: Vec<usize>) {
-        self.spread(candidates, u32::MAX, |owner, near| owner == near);
+    pub fn fill(&mut self, candidates: Vec<usize>, progress: &dyn Progress) -> Result<(), Cancelled> {
+        self.spread(candidates, u32::MAX, |owner, near| owner == near, progress).map(drop)
     }
 
     /// Grows all charts by so many rings into nobody's texels; the new texels are owned by the chart that they
     /// continue. Returns them.
-    pub fn dilate(&mut self, rings: u32) -> Vec<usize> {
+    pub fn dilate(&mut self, rings: u32, progress: &dyn Progress) -> Result<Vec<usize>, Cancelled> {
         let mut rim = Vec::new();
-        for at in 0..self.owner.len() {
+        for at in watched(0..self.owner.len(), progress) {
+            let at = at?;
             if self.is_known(at) {
                 rim.extend(self.neighbours(at).map(|n| n.0).filter(|&n| self.owner[n] == 0));
             }
         }
-        self.spread(rim, rings, |owner, _| owner == 0)
+        self.spread(rim, rings, |owner, _| owner == 0, progress)
     }
 
     /// Texels for which `may(owner, owner of a known neighbour)` holds take the neighbours' weighted mean.
-    fn spread(&mut self, mut candidates: Vec<usize>, rings: u32, may: impl Fn(u32, u32) -> bool) -> Vec<usize> {
+    fn spread(
+        &mut self,
+        mut candidates: Vec<usize>,
+        rings: u32,
+        may: impl Fn(u32, u32) -> bool,
+        progress: &dyn Progress,
+    ) -> Result<Vec<usize>, Cancelled> {
         let mut changed = Vec::new();
         for _ in 0..rings {
+            progress.check()?;
             candidates.sort_unstable();
             candidates.dedup();
-            let ring: Vec<(usize, u32, Vec3)> =
-                candidates.iter().filter_map(|&at| self.continued(at, &may).map(|(o, v)| (at, o, v))).collect();
+            let mut ring: Vec<(usize, u32, Vec3)> = Vec::new();
+            for at in watched(&candidates, progress) {
+                let at = *at?;
+                ring.extend(self.continued(at, &may).map(|(owner, value)| (at, owner, value)));
+            }
             if ring.is_empty() {
                 break;
             }
@@ -78,13 +90,14 @@ impl Canvas {
                 self.value[at] = value;
                 self.trust[at] = SPREAD_TRUST;
             }
-            for &(at, owner, _) in &ring {
+            for item in watched(&ring, progress) {
+                let &(at, owner, _) = item?;
                 let open = |n: &usize| !self.is_known(*n) && may(self.owner[*n], owner);
                 candidates.extend(self.neighbours(at).map(|n| n.0).filter(open));
                 changed.push(at);
             }
         }
-        changed
+        Ok(changed)
     }
 
     /// Owner and value that an unknown texel would take: of the lowest chart around it, the mean of the texels beside it,
@@ -110,13 +123,14 @@ impl Canvas {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use luxel_scene::Silent;
 
     #[test]
     fn dilation_keeps_constants_and_stops_at_the_ring() {
         let mut canvas = Canvas::new(9, 9, vec![Vec3::ZERO; 81]);
         let at = canvas.index(4, 4);
         (canvas.owner[at], canvas.value[at], canvas.trust[at]) = (7, Vec3::splat(0.1), 1.0);
-        let grown = canvas.dilate(2);
+        let grown = canvas.dilate(2, &Silent).unwrap();
         assert_eq!(grown.len(), 24);
         assert!(grown.iter().all(|&n| canvas.value[n] == Vec3::splat(0.1) && canvas.owner[n] == 7));
         assert_eq!(canvas.owner.iter().filter(|&&o| o == 0).count(), 81 - 25);
@@ -130,7 +144,7 @@ mod tests {
             (canvas.owner[x], canvas.trust[x]) = (1, 1.0);
             canvas.value[x] = Vec3::splat(if x < 2 { 9.0 } else { 1.0 });
         }
-        canvas.dilate(1);
+        canvas.dilate(1, &Silent).unwrap();
         assert_eq!(canvas.value[4..], canvas.value[..4]);
     }
 
@@ -140,7 +154,7 @@ mod tests {
         canvas.owner = vec![1, 1, 2, 2];
         canvas.value = vec![Vec3::ONE, Vec3::ZERO, Vec3::ZERO, Vec3::splat(5.0)];
         canvas.trust = vec![1.0, 0.0, 0.0, 1.0];
-        canvas.fill(vec![1, 2]);
+        canvas.fill(vec![1, 2], &Silent).unwrap();
         assert_eq!(canvas.value, [Vec3::ONE, Vec3::ONE, Vec3::splat(5.0), Vec3::splat(5.0)]);
     }
 }

@@ -5,7 +5,7 @@
 //! Nothing is ever mixed across charts but along a seam of a continuous surface.
 
 use glam::Vec3;
-use luxel_scene::Scene;
+use luxel_scene::{Cancelled, Progress, Scene, watched};
 
 use crate::canvas::Canvas;
 use crate::{Atlas, Page, Texel, seams};
@@ -56,29 +56,37 @@ pub enum FinishError {
     Value { texel: usize },
     #[error("the atlas does not fit together: texel {texel} lies outside its page")]
     Atlas { texel: usize },
+    #[error(transparent)]
+    Cancelled(#[from] Cancelled),
 }
 
 /// Makes one image per page from the value of each texel, by its index; none where it lies inside other geometry.
 ///
 /// # Errors
-/// Values that are negative or not finite, and an atlas whose texels lie outside their pages.
+/// Values that are negative or not finite, an atlas whose texels lie outside their pages, and cancellation.
 pub fn finish(
     scene: &Scene,
     atlas: &Atlas,
     value: impl Fn(usize) -> Option<Vec3>,
     settings: &FinishSettings,
+    progress: &dyn Progress,
 ) -> Result<(Vec<Image>, FinishReport), FinishError> {
     let mut report = FinishReport::default();
-    let (mut canvases, buried) = scattered(atlas, value)?;
-    fill(&mut canvases, buried, &mut report);
-    let padding: Vec<Vec<usize>> = canvases.iter_mut().map(|canvas| canvas.dilate(settings.padding)).collect();
+    let (mut canvases, buried) = scattered(atlas, value, progress)?;
+    fill(&mut canvases, buried, &mut report, progress)?;
+    let grown = canvases.iter_mut().map(|canvas| canvas.dilate(settings.padding, progress));
+    let padding = grown.collect::<Result<Vec<Vec<usize>>, Cancelled>>()?;
     if settings.stitch {
-        let touched = seams::stitch(scene, atlas, &mut canvases, &mut report);
-        dilate_again(&mut canvases, &padding, &touched, settings.padding);
+        let touched = seams::stitch(scene, atlas, &mut canvases, &mut report, progress)?;
+        dilate_again(&mut canvases, &padding, &touched, settings.padding, progress)?;
     }
-    let images = canvases.into_iter().zip(0..).map(|(canvas, page)| image(canvas, page));
-    let mut images: Vec<Image> = images.collect();
-    for texel in &atlas.texels {
+    let images = canvases.into_iter().zip(0..).map(|(canvas, page)| {
+        progress.check()?;
+        Ok(image(canvas, page))
+    });
+    let mut images = images.collect::<Result<Vec<Image>, Cancelled>>()?;
+    for texel in watched(&atlas.texels, progress) {
+        let texel = texel?;
         if let Some((page, at)) = place(atlas, texel) {
             images[page].coverage[at] = texel.coverage();
         }
@@ -91,11 +99,13 @@ pub fn finish(
 fn scattered(
     atlas: &Atlas,
     value: impl Fn(usize) -> Option<Vec3>,
+    progress: &dyn Progress,
 ) -> Result<(Vec<Canvas>, Vec<Vec<usize>>), FinishError> {
     let pixels = |page: &Page| page.width as usize * page.height as usize;
     let mut values: Vec<Vec<Vec3>> = atlas.pages.iter().map(|page| vec![Vec3::ZERO; pixels(page)]).collect();
     let mut buried = vec![Vec::new(); values.len()];
-    for (number, texel) in atlas.texels.iter().enumerate() {
+    for item in watched(atlas.texels.iter().enumerate(), progress) {
+        let (number, texel) = item?;
         let (page, at) = place(atlas, texel).ok_or(FinishError::Atlas { texel: number })?;
         match value(number) {
             Some(value) if value.is_finite() && value.min_element() >= 0.0 => values[page][at] = value,
@@ -106,7 +116,8 @@ fn scattered(
     drop(value);
     let canvas = |(page, values): (&Page, Vec<Vec3>)| Canvas::new(page.width, page.height, values);
     let mut canvases: Vec<Canvas> = atlas.pages.iter().zip(values).map(canvas).collect();
-    for texel in &atlas.texels {
+    for texel in watched(&atlas.texels, progress) {
+        let texel = texel?;
         // Every place was looked at above.
         let Some((page, at)) = place(atlas, texel) else { continue };
         canvases[page].owner[at] = texel.chart + 1;
@@ -126,17 +137,29 @@ fn place(atlas: &Atlas, texel: &Texel) -> Option<(usize, usize)> {
     inside.then(|| (number, usize::from(texel.y) * page.width as usize + usize::from(texel.x)))
 }
 
-fn fill(canvases: &mut [Canvas], buried: Vec<Vec<usize>>, report: &mut FinishReport) {
+fn fill(
+    canvases: &mut [Canvas],
+    buried: Vec<Vec<usize>>,
+    report: &mut FinishReport,
+    progress: &dyn Progress,
+) -> Result<(), Cancelled> {
     for (canvas, buried) in canvases.iter_mut().zip(buried) {
-        canvas.fill(buried.clone());
+        canvas.fill(buried.clone(), progress)?;
         let known = buried.iter().filter(|&&at| canvas.is_known(at)).count();
         report.filled += known as u32;
         report.lost += (buried.len() - known) as u32;
     }
+    Ok(())
 }
 
 /// Stitching changed the texels at chart borders; padding that it did not set itself follows them.
-fn dilate_again(canvases: &mut [Canvas], padding: &[Vec<usize>], touched: &[Vec<usize>], rings: u32) {
+fn dilate_again(
+    canvases: &mut [Canvas],
+    padding: &[Vec<usize>],
+    touched: &[Vec<usize>],
+    rings: u32,
+    progress: &dyn Progress,
+) -> Result<(), Cancelled> {
     for ((canvas, padding), touched) in canvases.iter_mut().zip(padding).zip(touched) {
         if touched.is_empty() {
             continue;
@@ -144,8 +167,9 @@ fn dilate_again(canvases: &mut [Canvas], padding: &[Vec<usize>], touched: &[Vec<
         for &at in padding.iter().filter(|at| touched.binary_search(at).is_err()) {
             (canvas.owner[at], canvas.trust[at]) = (0, 0.0);
         }
-        canvas.dilate(rings);
+        canvas.dilate(rings, progress)?;
     }
+    Ok(())
 }
 
 /// Takes the memory of the canvas.

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use luxel_scene::{Mesh, Progress, Scene};
+use luxel_scene::{Cancelled, Mesh, Progress, Scene, Silent};
 
 use crate::AtlasError;
 use crate::authored::{self, Verdict};
@@ -42,6 +42,14 @@ pub struct Layout {
 impl Layout {
     /// Judges every authored layout and decides for every instance.
     pub fn new(scene: &Scene) -> Self {
+        match Self::build(scene, &Silent) {
+            Ok(layout) => layout,
+            Err(Cancelled) => unreachable!("nobody cancels"),
+        }
+    }
+
+    /// [`Layout::new`] that can be cancelled.
+    pub fn build(scene: &Scene, progress: &dyn Progress) -> Result<Self, Cancelled> {
         let mut nodes: BTreeMap<(usize, usize, Option<u32>), Vec<usize>> = BTreeMap::new();
         for (i, instance) in scene.instances.iter().enumerate().filter(|(_, instance)| instance.receives) {
             let mesh = &scene.meshes[instance.mesh];
@@ -54,6 +62,7 @@ impl Layout {
         // In the order of the instances, not of the nodes, so that neighbours in the file stay neighbours.
         groups.sort_unstable_by_key(|group| group[0]);
         for group in groups {
+            progress.check()?;
             let meshes: Vec<usize> = group.iter().map(|&i| scene.instances[i].mesh).collect();
             let kept = match verdicts.get(&meshes) {
                 Some(kept) => *kept,
@@ -75,7 +84,7 @@ impl Layout {
                 layout.groups.push(group);
             }
         }
-        layout
+        Ok(layout)
     }
 
     fn judge(&mut self, scene: &Scene, meshes: &[usize]) -> bool {

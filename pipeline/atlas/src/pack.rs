@@ -8,6 +8,8 @@
 
 use std::collections::HashMap;
 
+use luxel_scene::{Cancelled, Progress};
+
 /// What a chart occupies, its padding included.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Shape {
@@ -76,10 +78,10 @@ struct Variant {
 }
 
 /// Packs all shapes into one page, or says that they do not fit.
-pub(crate) fn pack(shapes: &[Shape], side: u32) -> Option<Vec<Spot>> {
+pub(crate) fn pack(shapes: &[Shape], side: u32, progress: &dyn Progress) -> Result<Option<Vec<Spot>>, Cancelled> {
     let area: u64 = shapes.iter().map(Shape::area).sum();
     if area > u64::from(side) * u64::from(side) {
-        return None;
+        return Ok(None);
     }
     let mut order: Vec<usize> = (0..shapes.len()).collect();
     order.sort_by_key(|&i| {
@@ -89,9 +91,11 @@ pub(crate) fn pack(shapes: &[Shape], side: u32) -> Option<Vec<Spot>> {
     let mut page = Sheet::new(side);
     let mut spots = vec![Spot::default(); shapes.len()];
     for i in order {
-        spots[i] = page.place(&shapes[i])?;
+        progress.check()?;
+        let Some(spot) = page.place(&shapes[i]) else { return Ok(None) };
+        spots[i] = spot;
     }
-    Some(spots)
+    Ok(Some(spots))
 }
 
 /// One page while it fills.
@@ -302,6 +306,11 @@ fn longest_run(row: &[u64]) -> u32 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use luxel_scene::Silent;
+
+    fn pack(shapes: &[Shape], side: u32) -> Option<Vec<Spot>> {
+        super::pack(shapes, side, &Silent).unwrap()
+    }
     use proptest::prelude::*;
 
     fn rectangle(width: u32, height: u32) -> Shape {

@@ -12,7 +12,7 @@
 use std::cell::RefCell;
 use std::ops::Range;
 
-use luxel_scene::Progress;
+use luxel_scene::{Cancelled, Progress};
 use serde::{Deserialize, Serialize};
 
 use crate::AtlasError;
@@ -245,11 +245,11 @@ impl Placer<'_> {
             let page = placement.pages;
             placement.pages += 1;
             // On the last page there must be room for all that is left.
-            let found = if placement.pages == pages { self.rest(next, density) } else { self.prefix(next, density)? };
+            let found = if placement.pages == pages { self.rest(next, density)? } else { self.prefix(next, density)? };
             match found {
                 Some((end, spots)) => {
                     let blocks = self.groups[next].start..self.groups[end - 1].end;
-                    self.record(&mut placement, page, blocks, density, &spots);
+                    self.record(&mut placement, page, blocks, density, &spots)?;
                     next = end;
                 }
                 // Filling one page with one group is a search for the density, which nothing limits from above.
@@ -259,7 +259,7 @@ impl Placer<'_> {
                     let (lower, spots) = self.lowered(next, density)?;
                     let blocks = self.groups[next].clone();
                     placement.lowered.push((self.blocks[blocks.start].group, lower));
-                    self.record(&mut placement, page, blocks, lower, &spots);
+                    self.record(&mut placement, page, blocks, lower, &spots)?;
                     next += 1;
                 }
             }
@@ -268,9 +268,9 @@ impl Placer<'_> {
     }
 
     /// All groups from `first` on, if they fit on one page.
-    fn rest(&self, first: usize, density: f64) -> Option<(usize, Vec<Spot>)> {
+    fn rest(&self, first: usize, density: f64) -> Result<Option<(usize, Vec<Spot>)>, Cancelled> {
         let spots = self.pack(self.groups[first].start..self.blocks.len(), density)?;
-        Some((self.groups.len(), spots))
+        Ok(spots.map(|spots| (self.groups.len(), spots)))
     }
 
     /// The most groups from `first` on that fit on one page, by bisection; None if not even the first one does.
@@ -294,7 +294,7 @@ impl Placer<'_> {
             self.progress.check()?;
             middle = middle.clamp(good + 1, bad - 1);
             let blocks = self.groups[first].start..self.groups[middle - 1].end;
-            match self.pack(blocks, density) {
+            match self.pack(blocks, density)? {
                 Some(spots) => (good, best) = (middle, Some((middle, spots))),
                 None => bad = middle,
             }
@@ -319,10 +319,7 @@ impl Placer<'_> {
             return Ok(packed);
         }
         let blocks = &self.groups[group];
-        let attempt = |density: f64| {
-            self.progress.check()?;
-            Ok(self.pack(blocks.clone(), density))
-        };
+        let attempt = |density: f64| Ok(self.pack(blocks.clone(), density)?);
         let top = self.bare(blocks.clone(), 1)?.min(density);
         let packed = densest(top, self.least_density(blocks.clone()), attempt)?.ok_or_else(|| self.too_many(blocks))?;
         self.alone.borrow_mut()[group] = Some(packed.clone());
@@ -346,21 +343,33 @@ impl Placer<'_> {
         self.settings.size - 2 * self.settings.padding
     }
 
-    fn pack(&self, blocks: Range<usize>, density: f64) -> Option<Vec<Spot>> {
+    fn pack(&self, blocks: Range<usize>, density: f64) -> Result<Option<Vec<Spot>>, Cancelled> {
+        self.progress.check()?;
         let side = u64::from(self.settings.size);
         // Cheap to see before any outline is drawn.
         let least: u64 = blocks.clone().map(|b| self.least(b, density)).sum();
         if least > side * side {
-            return None;
+            return Ok(None);
         }
-        let shapes: Vec<_> =
-            blocks.map(|b| self.blocks[b].shape(self.texels(b, density), self.settings.padding)).collect();
-        pack::pack(&shapes, self.settings.size)
+        let shape = |b: usize| {
+            self.progress.check()?;
+            Ok(self.blocks[b].shape(self.texels(b, density), self.settings.padding))
+        };
+        let shapes = blocks.map(shape).collect::<Result<Vec<_>, Cancelled>>()?;
+        pack::pack(&shapes, self.settings.size, self.progress)
     }
 
-    fn record(&self, placement: &mut Placement, page: u32, blocks: Range<usize>, density: f64, spots: &[Spot]) {
+    fn record(
+        &self,
+        placement: &mut Placement,
+        page: u32,
+        blocks: Range<usize>,
+        density: f64,
+        spots: &[Spot],
+    ) -> Result<(), Cancelled> {
         let padding = self.settings.padding;
         for (block, spot) in blocks.zip(spots) {
+            self.progress.check()?;
             let size = self.texels(block, density);
             let own = &self.blocks[block];
             let most = f64::from(self.limit()) / own.size.max_element();
@@ -375,5 +384,6 @@ impl Placer<'_> {
             let (x, y) = (spot.x + padding, spot.y + padding);
             placement.places.push(Place { page, x, y, size, turn: spot.turn });
         }
+        Ok(())
     }
 }

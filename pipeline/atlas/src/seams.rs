@@ -13,7 +13,7 @@
 //! they are to the last bit. (After Iwanicki, "Lighting technology of The Last of Us", 2013.)
 
 use glam::{DVec2, DVec3};
-use luxel_scene::Scene;
+use luxel_scene::{Cancelled, Mesh, Progress, Scene};
 use rayon::prelude::*;
 
 use crate::canvas::Canvas;
@@ -31,6 +31,8 @@ const DONE: f64 = 1e-16;
 /// Sample points per texel of a seam, and at most so many along one edge.
 const SAMPLES_PER_TEXEL: f64 = 2.0;
 const MOST_SAMPLES: f64 = 32768.0;
+/// Joints between two looks at the progress.
+const LOOK: usize = 16;
 
 /// A difference of two bilinear reads: texels of one page with signed weights.
 struct Row {
@@ -44,16 +46,18 @@ pub(crate) fn stitch(
     atlas: &Atlas,
     canvases: &mut [Canvas],
     report: &mut FinishReport,
-) -> Vec<Vec<usize>> {
-    let mut rows = rows(scene, atlas, canvases);
+    progress: &dyn Progress,
+) -> Result<Vec<Vec<usize>>, Cancelled> {
+    let mut rows = rows(scene, atlas, canvases, progress)?;
     report.seam_samples = rows.len() as u32;
     let mut touched = vec![Vec::new(); canvases.len()];
     let (mut before, mut after) = (0.0, 0.0);
     for (page, canvas) in canvases.iter_mut().enumerate() {
+        progress.check()?;
         let system = System::new(canvas, rows.extract_if(.., |row| row.page as usize == page).collect());
         let start: Vec<DVec3> = system.texels.iter().map(|&at| canvas.value[at].as_dvec3()).collect();
         before += system.jumps(&start);
-        let end = system.solved(&start);
+        let end = system.solved(&start, progress)?;
         for (&at, value) in system.texels.iter().zip(&end) {
             canvas.value[at] = value.as_vec3();
         }
@@ -63,27 +67,36 @@ pub(crate) fn stitch(
     let count = f64::from(3 * report.seam_samples.max(1));
     report.jump_before = (before / count).sqrt();
     report.jump_after = (after / count).sqrt();
-    touched
+    Ok(touched)
 }
 
-fn rows(scene: &Scene, atlas: &Atlas, canvases: &[Canvas]) -> Vec<Row> {
+fn rows(scene: &Scene, atlas: &Atlas, canvases: &[Canvas], progress: &dyn Progress) -> Result<Vec<Row>, Cancelled> {
     let mut used = vec![false; scene.meshes.len()];
     for (instance, placed) in scene.instances.iter().zip(&atlas.placed) {
         used[instance.mesh] |= placed.is_some();
     }
-    let joints: Vec<Vec<Joint>> = scene
-        .meshes
-        .par_iter()
-        .zip(&used)
-        .map(|(mesh, used)| if *used { continuous(&Solid::new(mesh)) } else { Vec::new() })
-        .collect();
-    let of_instance = |(instance, placed): (&luxel_scene::Instance, &Option<Placed>)| -> Vec<Row> {
-        let Some(placed) = placed else { return Vec::new() };
-        let Some(canvas) = canvases.get(placed.page as usize) else { return Vec::new() };
-        joints[instance.mesh].iter().flat_map(|joint| along(joint, placed, canvas)).collect()
+    let of_mesh = |(mesh, used): (&Mesh, &bool)| {
+        progress.check()?;
+        Ok(if *used { continuous(&Solid::new(mesh)) } else { Vec::new() })
     };
-    let parts: Vec<Vec<Row>> = scene.instances.par_iter().zip(&atlas.placed).map(of_instance).collect();
-    parts.into_iter().flatten().collect()
+    let joints = scene.meshes.par_iter().zip(&used).map(of_mesh).collect::<Result<Vec<Vec<Joint>>, Cancelled>>()?;
+    let of_instance = |(instance, placed): (&luxel_scene::Instance, &Option<Placed>)| {
+        let mut rows = Vec::new();
+        let Some(placed) = placed else { return Ok(rows) };
+        let Some(canvas) = canvases.get(placed.page as usize) else { return Ok(rows) };
+        for (i, joint) in joints[instance.mesh].iter().enumerate() {
+            // A joint may be as long as its page.
+            if i.is_multiple_of(LOOK) {
+                progress.check()?;
+            }
+            rows.extend(along(joint, placed, canvas));
+        }
+        Ok(rows)
+    };
+    let parts = scene.instances.par_iter().zip(&atlas.placed).map(of_instance);
+    let parts = parts.collect::<Result<Vec<Vec<Row>>, Cancelled>>()?;
+    progress.check()?;
+    Ok(parts.into_iter().flatten().collect())
 }
 
 /// The joints over which light is continuous: shading normals agree, or faces where there are none.
@@ -188,8 +201,8 @@ impl System {
         out
     }
 
-    fn solved(&self, start: &[DVec3]) -> Vec<DVec3> {
-        let change = self.change(start);
+    fn solved(&self, start: &[DVec3], progress: &dyn Progress) -> Result<Vec<DVec3>, Cancelled> {
+        let change = self.change(start, progress)?;
         let (mut lo, mut hi) = (start.to_vec(), start.to_vec());
         for row in &self.rows {
             let values = || row.iter().filter(|cell| cell.1 != 0.0).map(|cell| start[cell.0 as usize]);
@@ -199,11 +212,11 @@ impl System {
                 hi[i as usize] = hi[i as usize].max(most);
             }
         }
-        (0..start.len()).map(|i| (start[i] + change[i]).clamp(lo[i], hi[i])).collect()
+        Ok((0..start.len()).map(|i| (start[i] + change[i]).clamp(lo[i], hi[i])).collect())
     }
 
     /// Conjugate gradients with the diagonal as preconditioner; the bands have their own step lengths.
-    fn change(&self, start: &[DVec3]) -> Vec<DVec3> {
+    fn change(&self, start: &[DVec3], progress: &dyn Progress) -> Result<Vec<DVec3>, Cancelled> {
         let mut diagonal = self.trust.clone();
         for &(i, w) in self.rows.iter().flatten() {
             diagonal[i as usize] += SEAM_WEIGHT * w * w;
@@ -217,6 +230,7 @@ impl System {
         let mut rz = dot(&r, &z);
         let enough = rz * DONE;
         for _ in 0..ITERATIONS {
+            progress.check()?;
             if rz.cmple(enough).all() {
                 break;
             }
@@ -233,7 +247,7 @@ impl System {
             rz = next;
             p.iter_mut().zip(&z).for_each(|(p, z)| *p = *z + beta * *p);
         }
-        x
+        Ok(x)
     }
 }
 

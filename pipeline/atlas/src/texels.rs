@@ -9,6 +9,7 @@
 use std::ops::Range;
 
 use glam::DVec2;
+use luxel_scene::{Cancelled, Progress, watched};
 use rayon::prelude::*;
 
 use crate::Texel;
@@ -39,30 +40,38 @@ const EMPTY: Cell = Cell { coverage: 0.0, area: 0.0, distance: f64::INFINITY, sa
 const STRIP: u32 = 64;
 
 /// The texels of a block at its place, in rows of the page.
-pub(crate) fn texels(block: &Block, place: &Place) -> Vec<(u32, Texel)> {
+pub(crate) fn texels(block: &Block, place: &Place, progress: &dyn Progress) -> Result<Vec<(u32, Texel)>, Cancelled> {
     let [width, height] = place.size;
     let scale = DVec2::new(width.into(), height.into());
     let corners: Vec<[DVec2; 3]> = block.faces.iter().map(|f| f.uv.map(|p| p * scale)).collect();
-    let strips: Vec<Vec<(u32, Texel)>> = (0..height.div_ceil(STRIP))
-        .into_par_iter()
-        .map(|k| strip(block, place, &corners, k * STRIP..height.min((k + 1) * STRIP)))
-        .collect();
+    let strip = |k: u32| strip(block, place, &corners, k * STRIP..height.min((k + 1) * STRIP), progress);
+    let strips = (0..height.div_ceil(STRIP)).into_par_iter().map(strip);
+    let strips = strips.collect::<Result<Vec<Vec<(u32, Texel)>>, Cancelled>>()?;
     let mut texels = Vec::with_capacity(strips.iter().map(Vec::len).sum());
     strips.into_iter().for_each(|strip| texels.extend(strip));
+    progress.check()?;
     texels.sort_unstable_by_key(|(_, t)| (t.y, t.x));
-    texels
+    Ok(texels)
 }
 
 /// The texels of some rows of a block, before it is turned.
-fn strip(block: &Block, place: &Place, corners: &[[DVec2; 3]], rows: Range<u32>) -> Vec<(u32, Texel)> {
+fn strip(
+    block: &Block,
+    place: &Place,
+    corners: &[[DVec2; 3]],
+    rows: Range<u32>,
+    progress: &dyn Progress,
+) -> Result<Vec<(u32, Texel)>, Cancelled> {
     let width = place.size[0];
     let mut cells = vec![EMPTY; width as usize * rows.len()];
-    for (number, (face, t)) in block.faces.iter().zip(corners).enumerate() {
+    for item in watched(block.faces.iter().zip(corners).enumerate(), progress) {
+        let (number, (face, t)) = item?;
         draw(&mut cells, width, &rows, number as u32, face, t);
     }
     let is_there = |cell: &Cell| cell.coverage >= LEAST_COVERAGE && cell.distance.is_finite();
     let mut texels = Vec::with_capacity(cells.iter().filter(|c| is_there(c)).count());
-    for (at, cell) in cells.iter().enumerate().filter(|(_, c)| is_there(c)) {
+    for item in watched(cells.iter().enumerate().filter(|(_, c)| is_there(c)), progress) {
+        let (at, cell) = item?;
         let (i, j) = (at as u32 % width, at as u32 / width + rows.start);
         let face = &block.faces[cell.face as usize];
         let (u, v) = barycentric(&corners[cell.face as usize], cell.sample);
@@ -71,7 +80,7 @@ fn strip(block: &Block, place: &Place, corners: &[[DVec2; 3]], rows: Range<u32>)
         let footprint = (cell.area / cell.coverage).sqrt() as f32;
         texels.push((face.instance, Texel::new(place, face.triangle, [u, v], cell.coverage as f32, footprint)));
     }
-    texels
+    Ok(texels)
 }
 
 /// The cell of the placed, turned block that a cell of the block becomes.
@@ -214,7 +223,12 @@ fn barycentric(t: &[DVec2; 3], p: DVec2) -> (f32, f32) {
 mod tests {
     use super::*;
     use crate::Chart;
+    use luxel_scene::Silent;
     use proptest::prelude::*;
+
+    fn texels(block: &Block, place: &Place) -> Vec<(u32, Texel)> {
+        super::texels(block, place, &Silent).unwrap()
+    }
 
     fn block(faces: Vec<Face>) -> Block {
         Block {

@@ -6,7 +6,7 @@
 //! not flipped, no overlap, not starved); what fails is projected in groups of similar normals, or, at the
 //! last, triangle by triangle, and the report says so.
 
-use luxel_scene::{Mesh, Progress};
+use luxel_scene::{Cancelled, Mesh, Progress};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -47,6 +47,15 @@ pub trait Unwrapper: Sync {
     /// # Errors
     /// Only when the unwrapper itself does not work. A piece that it cannot flatten is an `Err` in its answer.
     fn unwrap(&self, pieces: &[Piece]) -> Result<Answers, UnwrapError>;
+
+    /// [`Unwrapper::unwrap`] of pieces that may not be wanted to the end. It may then come to an early one, with
+    /// whatever result: nobody looks at it.
+    ///
+    /// # Errors
+    /// As [`Unwrapper::unwrap`].
+    fn unwrap_while(&self, pieces: &[Piece], _: &dyn Progress) -> Result<Answers, UnwrapError> {
+        self.unwrap(pieces)
+    }
 }
 
 /// xatlas in this process: no protection from its aborts and hangs.
@@ -85,7 +94,8 @@ impl Piece {
 const PIECE_LIMIT: usize = 1024;
 /// Longest side of a piece. xatlas drops triangles of less than 1.2e-7 square units, so not too small.
 const PIECE_SIZE: f64 = 8.0;
-/// A batch is one round trip to a worker, which nothing interrupts: a thousand triangles take about 80 ms.
+/// A batch is one round trip to a worker. Nothing interrupts xatlas but the end of its process, so within the bake's own
+/// a batch goes on to its end: a thousand triangles take about 80 ms.
 const BATCH_TRIANGLES: usize = 1024;
 const BATCH_PIECES: usize = 64;
 
@@ -99,8 +109,13 @@ pub fn unwrap_meshes(
     progress: &dyn Progress,
 ) -> Result<Vec<Charts>, AtlasError> {
     progress.begin("unwrap", meshes.iter().map(|m| m.triangles.len() as u64).sum());
-    let solids: Vec<Solid> = meshes.par_iter().map(|mesh| Solid::new(mesh)).collect();
-    let mut drafts: Vec<Draft> = solids.par_iter().map(Draft::new).collect();
+    let solids = meshes.par_iter().map(|mesh| {
+        progress.check()?;
+        Ok(Solid::new(mesh))
+    });
+    let solids = solids.collect::<Result<Vec<Solid>, Cancelled>>()?;
+    let drafts = solids.par_iter().map(|solid| Draft::new(solid, progress));
+    let mut drafts = drafts.collect::<Result<Vec<Draft>, Cancelled>>()?;
     let jobs: Vec<(usize, usize)> =
         drafts.iter().enumerate().flat_map(|(m, d)| (0..d.pieces.len()).map(move |p| (m, p))).collect();
     let batches = batched(&jobs, |&(m, p)| drafts[m].pieces[p].piece.triangles.len());
@@ -109,7 +124,10 @@ pub fn unwrap_meshes(
         .map(|batch| {
             progress.check()?;
             let pieces: Vec<Piece> = batch.iter().map(|&(m, p)| drafts[m].pieces[p].piece.clone()).collect();
-            let answers = unwrapper.unwrap(&pieces)?;
+            let answers = unwrapper.unwrap_while(&pieces, progress);
+            // What was cancelled is not at fault.
+            progress.check()?;
+            let answers = answers?;
             if answers.len() != pieces.len() {
                 return Err(UnwrapError("the unwrapper lost a piece".into()).into());
             }
@@ -118,10 +136,14 @@ pub fn unwrap_meshes(
         })
         .collect::<Result<_, AtlasError>>()?;
     for (&(mesh, piece), answer) in jobs.iter().zip(answers.into_iter().flatten()) {
+        progress.check()?;
         drafts[mesh].accept(&solids[mesh], piece, answer);
     }
-    progress.check()?;
-    Ok(drafts.into_par_iter().zip(&solids).map(|(draft, solid)| draft.finish(solid)).collect())
+    let charts = drafts.into_par_iter().zip(&solids).map(|(draft, solid)| {
+        progress.check()?;
+        Ok(draft.finish(solid))
+    });
+    charts.collect()
 }
 
 fn batched<T: Copy>(jobs: &[T], weight: impl Fn(&T) -> usize) -> Vec<Vec<T>> {
@@ -158,19 +180,22 @@ struct Draft {
 }
 
 impl Draft {
-    fn new(solid: &Solid) -> Self {
+    fn new(solid: &Solid, progress: &dyn Progress) -> Result<Self, Cancelled> {
         let mut draft =
             Draft { corners: Corners::new(solid.mesh.triangles.len()), pieces: Vec::new(), fallen: Vec::new() };
+        progress.check()?;
         for part in segment::smooth_parts(solid) {
+            progress.check()?;
             if let Some(uvs) = planar::project_if_gentle(solid, &part) {
                 draft.corners.add_chart(&part, &uvs);
                 continue;
             }
             for part in segment::chopped(solid, part, PIECE_LIMIT) {
+                progress.check()?;
                 draft.pieces.push(Pending { piece: piece_of(solid, &part), triangles: part });
             }
         }
-        draft
+        Ok(draft)
     }
 
     /// Takes an unwrapper's answer, chart by chart; refused charts are projected.

@@ -3,7 +3,8 @@
 //! The worker is any program that calls [`worker_main`] on its standard input and output: the `luxel` binary does,
 //! under a hidden subcommand. Messages are a 32-bit little-endian length and a bincode body: a list of pieces one way,
 //! a list of answers the other. A worker that dies, talks nonsense or takes too long is killed; the pieces of its
-//! batch are then tried one by one, and the one at fault is left to the fallback. What is done depends on the
+//! batch are then tried one by one, and the one at fault is left to the fallback. One whose answer is not wanted any
+//! more is killed too. What is done depends on the
 //! pieces, except where a time limit strikes, which the report then names.
 
 use std::ffi::OsString;
@@ -13,8 +14,9 @@ use std::process::{Child, Command, Stdio};
 use std::sync::Mutex;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::thread::JoinHandle;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
+use luxel_scene::{Progress, Silent};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
@@ -25,6 +27,9 @@ pub(crate) const FAILED: &str = "the unwrap worker";
 
 /// No message is larger, in either direction [bytes].
 const MESSAGE_LIMIT: usize = 1 << 27;
+
+/// Between two looks whether an answer is still wanted.
+const LOOK: Duration = Duration::from_millis(20);
 
 /// Serves unwrap requests until the input ends.
 ///
@@ -123,7 +128,7 @@ impl Worker {
     }
 
     /// One round trip; the process goes back to the idle ones if it behaved, else it is killed.
-    fn ask(&self, pieces: &[Piece]) -> Result<Result<Answers, String>, UnwrapError> {
+    fn ask(&self, pieces: &[Piece], progress: &dyn Progress) -> Result<Result<Answers, String>, UnwrapError> {
         let request = match encoded(&pieces) {
             Ok(request) => request,
             Err(error) => return Ok(Err(format!("the piece cannot be sent: {error}"))),
@@ -131,7 +136,7 @@ impl Worker {
         let triangles: usize = pieces.iter().map(|p| p.triangles.len()).sum();
         let limit = self.limit + self.limit_per_triangle * u32::try_from(triangles).unwrap_or(u32::MAX);
         let process = self.process()?;
-        let answers = process.exchange(request, limit).and_then(|reply| {
+        let answers = process.exchange(request, limit, progress).and_then(|reply| {
             decoded::<Answers>(&reply)
                 .ok()
                 .filter(|answers| answers.len() == pieces.len())
@@ -146,11 +151,17 @@ impl Worker {
 
 impl Unwrapper for Worker {
     fn unwrap(&self, pieces: &[Piece]) -> Result<Answers, UnwrapError> {
-        match self.ask(pieces)? {
+        self.unwrap_while(pieces, &Silent)
+    }
+
+    fn unwrap_while(&self, pieces: &[Piece], progress: &dyn Progress) -> Result<Answers, UnwrapError> {
+        match self.ask(pieces, progress)? {
             Ok(answers) => Ok(answers),
             Err(why) if pieces.len() == 1 => Ok(vec![Err(why)]),
+            Err(why) if progress.is_cancelled() => Err(UnwrapError(why)),
             Err(_) => {
-                let one = |piece| Ok(self.ask(std::slice::from_ref(piece))?.map(|mut answers| answers.remove(0)));
+                let alone = |piece| self.ask(std::slice::from_ref(piece), progress);
+                let one = |piece| Ok(alone(piece)?.map(|mut answers| answers.remove(0)));
                 pieces.iter().map(|piece| Ok(one(piece)?.and_then(|answer| answer))).collect()
             }
         }
@@ -198,12 +209,23 @@ impl Process {
         Ok(Self { child, requests: Some(requests), replies, threads: vec![writer, reader] })
     }
 
-    fn exchange(&self, request: Vec<u8>, limit: Duration) -> Result<Vec<u8>, String> {
+    fn exchange(&self, request: Vec<u8>, limit: Duration, progress: &dyn Progress) -> Result<Vec<u8>, String> {
         let sent = self.requests.as_ref().is_some_and(|requests| requests.send(request).is_ok());
         if !sent {
             return Err(format!("{FAILED} died"));
         }
-        match self.replies.recv_timeout(limit) {
+        let until = Instant::now().checked_add(limit);
+        let reply = loop {
+            let left = until.map_or(LOOK, |until| until.saturating_duration_since(Instant::now()));
+            let reply = self.replies.recv_timeout(left.min(LOOK));
+            if progress.is_cancelled() {
+                return Err("the answer is not wanted any more".into());
+            }
+            if left <= LOOK && until.is_some() || !matches!(reply, Err(RecvTimeoutError::Timeout)) {
+                break reply;
+            }
+        };
+        match reply {
             Ok(Ok(Some(reply))) => Ok(reply),
             Ok(Err(error)) if error.kind() == io::ErrorKind::InvalidData => Err(format!("{FAILED} answered nonsense")),
             Ok(_) | Err(RecvTimeoutError::Disconnected) => Err(format!("{FAILED} died")),
@@ -288,5 +310,26 @@ mod tests {
     fn a_worker_that_cannot_start_is_an_error() {
         let error = Worker::new("no/such/program", [""; 0]).unwrap(&[tetrahedron()]).unwrap_err();
         assert!(error.0.contains("no/such/program"));
+    }
+
+    /// A worker that never answers: only its limit of half a minute or the cancellation ends it.
+    #[cfg(unix)]
+    #[test]
+    fn a_worker_whose_answer_is_not_wanted_is_killed() {
+        use std::sync::atomic::{AtomicU32, Ordering};
+        struct Third(AtomicU32);
+        impl Progress for Third {
+            fn begin(&self, _: &'static str, _: u64) {}
+            fn advance(&self, _: u64) {}
+            fn is_cancelled(&self) -> bool {
+                self.0.fetch_add(1, Ordering::Relaxed) >= 2
+            }
+        }
+        let worker = Worker::new("sleep", ["600"]);
+        let progress = Third(AtomicU32::new(0));
+        let error = worker.unwrap_while(&[tetrahedron(), tetrahedron()], &progress).unwrap_err();
+        assert!(error.0.contains("not wanted"), "{error}");
+        assert_eq!(progress.0.load(Ordering::Relaxed), 4, "it is not asked again, piece by piece");
+        assert!(worker.idle.lock().unwrap().is_empty());
     }
 }

@@ -61,7 +61,7 @@ fn read(image: &Image, uv: Vec2) -> Vec3 {
 
 fn run(scene: &Scene, atlas: &Atlas, values: &[Vec3], stitch: bool) -> (Vec<Image>, luxel_atlas::FinishReport) {
     let settings = FinishSettings { stitch, ..FinishSettings::default() };
-    finish(scene, atlas, |i| Some(values[i]), &settings).expect("images")
+    finish(scene, atlas, |i| Some(values[i]), &settings, &Silent).expect("images")
 }
 
 /// A value with noise that differs between charts: what stitching is there to hide.
@@ -157,7 +157,7 @@ fn buried_texels_take_their_own_chart_s_light() {
     let valid: Vec<bool> =
         atlas.texels.iter().map(|t| atlas.chart(t).instance == 0 && u32::from(t.x) % 7 != 0).collect();
     let value = |i: usize| valid[i].then_some(Vec3::splat(3.0));
-    let (images, report) = finish(&scene, &atlas, value, &FinishSettings::default()).unwrap();
+    let (images, report) = finish(&scene, &atlas, value, &FinishSettings::default(), &Silent).unwrap();
     assert_eq!(report.lost, atlas.charts[1].texels);
     assert_eq!(report.filled, valid.iter().filter(|v| !**v).count() as u32 - report.lost);
     for t in &atlas.texels {
@@ -173,7 +173,7 @@ fn values_that_are_no_light_are_refused() {
     let n = atlas.texels.len();
     for bad in [Vec3::NAN, Vec3::INFINITY, Vec3::new(1.0, -1.0, 1.0)] {
         let value = |i: usize| Some(if i == n / 2 { bad } else { Vec3::ONE });
-        let refused = finish(&scene, &atlas, value, &FinishSettings::default()).expect_err("no images");
+        let refused = finish(&scene, &atlas, value, &FinishSettings::default(), &Silent).expect_err("no images");
         assert_eq!(refused, FinishError::Value { texel: n / 2 });
     }
 }

@@ -7,6 +7,8 @@ use std::{
     path::Path,
 };
 
+use luxel_scene::{Progress, Watched};
+
 use crate::ExportError;
 
 /// Replaces `path` by `bytes`: a temporary file in the same folder is written, flushed to the disk and renamed over
@@ -28,12 +30,12 @@ pub(crate) struct Staged<'a> {
 
 impl Staged<'_> {
     /// Length and hash of what was written, read back so that it need not be held.
-    pub(crate) fn fingerprint(&mut self) -> Result<(u64, blake3::Hash), ExportError> {
+    pub(crate) fn fingerprint(&mut self, progress: &dyn Progress) -> Result<(u64, blake3::Hash), ExportError> {
         let mut hash = || {
             let mut hasher = blake3::Hasher::new();
             let file = self.file.as_file_mut();
             file.rewind()?;
-            hasher.update_reader(file)?;
+            hasher.update_reader(Watched::new(file, progress))?;
             Ok((hasher.count(), hasher.finalize()))
         };
         hash().map_err(|e| ExportError::io("read back", self.path, e))

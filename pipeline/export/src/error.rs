@@ -2,6 +2,8 @@
 
 use std::path::PathBuf;
 
+use luxel_scene::{Cancelled, ImportError};
+
 /// An export that did not happen. Whatever file was there before is still there.
 #[derive(Debug, thiserror::Error)]
 pub enum ExportError {
@@ -10,7 +12,7 @@ pub enum ExportError {
     Io { what: &'static str, path: PathBuf, cause: std::io::Error },
     /// The scene file breaks the glTF specification or a limit at a place that the export needs.
     #[error(transparent)]
-    Scene(#[from] luxel_scene::ImportError),
+    Scene(ImportError),
     /// A file of the scene is another one than was baked.
     #[error("{}: it has changed while it was baked; bake again", path.display())]
     Changed { path: PathBuf },
@@ -23,10 +25,28 @@ pub enum ExportError {
     /// The outputs cannot be placed where they were asked for.
     #[error("{}: {fault}", path.display())]
     Place { path: PathBuf, fault: String },
+    /// Whoever asked for it does not want it any more.
+    #[error("cancelled")]
+    Cancelled,
+}
+
+impl From<Cancelled> for ExportError {
+    fn from(_: Cancelled) -> Self {
+        Self::Cancelled
+    }
+}
+
+impl From<ImportError> for ExportError {
+    fn from(error: ImportError) -> Self {
+        if error.fault.is_cancelled() { Self::Cancelled } else { Self::Scene(error) }
+    }
 }
 
 impl ExportError {
     pub(crate) fn io(what: &'static str, path: &std::path::Path, cause: std::io::Error) -> Self {
+        if Cancelled::caused(&cause) {
+            return Self::Cancelled;
+        }
         Self::Io { what, path: path.into(), cause }
     }
 

@@ -6,6 +6,8 @@ use std::{
     path::{Path, PathBuf},
 };
 
+use luxel_scene::{Progress, Watched};
+
 use crate::{
     BoundMap, Depth, ExportError, Lightmap, atomic,
     openexr::Exr,
@@ -136,14 +138,18 @@ impl OutputSet {
     /// complete and on the disk under temporary names before the first takes its place: when one cannot be written, all
     /// old ones stay. They are encoded one after the other, straight into their files. Images of an earlier bake that
     /// this one has not (other pages, no bound, no preview) are removed last.
-    pub fn write(&self, files: &Files, report: &mut Report) -> Result<(), ExportError> {
-        self.write_by(files, report, |content, file| content.write(file))
+    ///
+    /// Cancelled it can be until then: no temporary file is left, and no output is touched. Nothing interrupts the
+    /// flushing of one file to the disk.
+    pub fn write(&self, files: &Files, report: &mut Report, progress: &dyn Progress) -> Result<(), ExportError> {
+        self.write_by(files, report, progress, |content, file| content.write(&mut Watched::new(file, progress)))
     }
 
     fn write_by(
         &self,
         files: &Files,
         report: &mut Report,
+        progress: &dyn Progress,
         mut fill: impl FnMut(&Content, &mut fs::File) -> io::Result<()>,
     ) -> Result<(), ExportError> {
         let (contents, report_path) = (self.contents(files)?, self.report());
@@ -153,11 +159,13 @@ impl OutputSet {
         report.outputs.clear();
         for (path, content) in &contents {
             let mut file = atomic::stage(path, |file| fill(content, file))?;
-            report.outputs.push(output(path, file.fingerprint()?));
+            report.outputs.push(output(path, file.fingerprint(progress)?));
             staged.push(file);
         }
         let json = Content::Bytes(&report.to_json()?);
         staged.push(atomic::stage(&report_path, |file| fill(&json, file))?);
+        // From here on the old files are replaced.
+        progress.check()?;
         atomic::persist(staged)?;
         for path in stale {
             std::fs::remove_file(&path).map_err(|e| ExportError::io("remove the outdated", &path, e))?;
@@ -241,7 +249,7 @@ enum Content<'a> {
 }
 
 impl Content<'_> {
-    fn write(&self, file: &mut fs::File) -> io::Result<()> {
+    fn write(&self, file: &mut (impl Write + io::Seek)) -> io::Result<()> {
         match self {
             Self::Exr(exr) => exr.write(&mut io::BufWriter::new(file)),
             Self::Bytes(bytes) => file.write_all(bytes),
@@ -263,6 +271,7 @@ mod tests {
     use crate::atomic::tests::names;
     use crate::report::SceneInfo;
     use glam::Vec3;
+    use luxel_scene::Silent;
 
     fn write(set: &OutputSet, pages: usize) -> Report {
         let map = Lightmap::new(2, 1, vec![Vec3::ONE; 2], vec![1.0; 2]).unwrap();
@@ -276,7 +285,7 @@ mod tests {
             glb: b"glb",
         };
         let mut report = Report::new(SceneInfo::default());
-        set.write(&files, &mut report).unwrap();
+        set.write(&files, &mut report, &Silent).unwrap();
         report
     }
 
@@ -374,7 +383,7 @@ mod tests {
         };
         let write_until = |last: usize| {
             let mut count = 0;
-            set.write_by(&files, &mut Report::new(SceneInfo::default()), |content, file| {
+            set.write_by(&files, &mut Report::new(SceneInfo::default()), &Silent, |content, file| {
                 count += 1;
                 content.write(file)?;
                 // Half of it is on the disk.
@@ -389,7 +398,7 @@ mod tests {
         // A folder in the place of the last file is seen before the first file is replaced, too.
         fs::remove_file(set.report()).unwrap();
         fs::create_dir(set.report()).unwrap();
-        let error = set.write(&files, &mut Report::new(SceneInfo::default())).unwrap_err().to_string();
+        let error = set.write(&files, &mut Report::new(SceneInfo::default()), &Silent).unwrap_err().to_string();
         assert!(error.contains("level.bake.json"), "{error}");
         fs::remove_dir(set.report()).unwrap();
         let kept = before.into_iter().filter(|(_, name)| name != "level.bake.json");
@@ -424,7 +433,7 @@ mod tests {
         write(&set, 1);
         let files =
             Files { lightmaps: &[], bounds: &[], depth: Depth::Float, key: "k", preview_png: None, glb: b"new" };
-        set.write(&files, &mut Report::new(SceneInfo::default())).unwrap();
+        set.write(&files, &mut Report::new(SceneInfo::default()), &Silent).unwrap();
         assert_eq!(names(set.folder()), ["level.bake.json", "level.glb"]);
     }
 
@@ -439,7 +448,7 @@ mod tests {
             Files { lightmaps: &[map], bounds: &[], depth: Depth::Float, key: "k", preview_png: None, glb: b"new" };
         let mut report = Report::new(SceneInfo::default());
         report.quality.insert("rate".into(), f64::NAN);
-        assert!(set.write(&files, &mut report).is_err());
+        assert!(set.write(&files, &mut report, &Silent).is_err());
         let after: Vec<_> = names(set.folder()).iter().map(|n| fs::read(set.folder().join(n)).unwrap()).collect();
         assert_eq!(before, after);
     }

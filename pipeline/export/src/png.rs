@@ -1,11 +1,13 @@
 //! 8-bit PNG: no colour profile, no gamma chunk, no date; what the bytes mean is said by whoever refers to them.
 
-use image::{
-    ExtendedColorType, ImageEncoder,
-    codecs::png::{CompressionType, FilterType, PngEncoder},
-};
+use std::io::Write;
+
+use luxel_scene::{Progress, Silent};
 
 use crate::ExportError;
+
+/// Longest chunk of compressed pixels [bytes].
+const CHUNK: usize = 1 << 16;
 
 /// An 8-bit RGB image, row-major from the top.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -17,14 +19,31 @@ pub struct Image8 {
 
 /// The bytes of a PNG file; the same image gives the same bytes.
 pub fn encode_png(image: &Image8) -> Result<Vec<u8>, ExportError> {
+    encode_png_with(image, &Silent)
+}
+
+/// [`encode_png`] that can be cancelled at every row.
+pub fn encode_png_with(image: &Image8, progress: &dyn Progress) -> Result<Vec<u8>, ExportError> {
     if u64::from(image.width) * u64::from(image.height) != image.texels.len() as u64 {
         let fault = format!("{} texels do not make {} × {}", image.texels.len(), image.width, image.height);
         return Err(ExportError::Image { what: "PNG".into(), fault });
     }
+    let refused = |fault: png::EncodingError| ExportError::encode("PNG", fault);
     let mut bytes = Vec::new();
-    PngEncoder::new_with_quality(&mut bytes, CompressionType::Default, FilterType::Adaptive)
-        .write_image(bytemuck::cast_slice(&image.texels), image.width, image.height, ExtendedColorType::Rgb8)
-        .map_err(|e| ExportError::encode("PNG", e))?;
+    let mut encoder = png::Encoder::new(&mut bytes, image.width, image.height);
+    encoder.set_color(png::ColorType::Rgb);
+    encoder.set_depth(png::BitDepth::Eight);
+    encoder.set_compression(png::Compression::Balanced);
+    encoder.set_filter(png::Filter::Adaptive);
+    let mut writer = encoder.write_header().map_err(refused)?;
+    let raw: &[u8] = bytemuck::cast_slice(&image.texels);
+    let mut rows = writer.stream_writer_with_size(CHUNK).map_err(refused)?;
+    for row in raw.chunks(3 * image.width as usize) {
+        progress.check()?;
+        rows.write_all(row).map_err(|e| ExportError::encode("PNG", e))?;
+    }
+    rows.finish().map_err(refused)?;
+    writer.finish().map_err(refused)?;
     Ok(bytes)
 }
 
@@ -43,6 +62,19 @@ mod tests {
         assert_eq!(back.as_raw().as_slice(), bytemuck::cast_slice::<_, u8>(&picture.texels));
         for chunk in [b"gAMA", b"sRGB", b"iCCP", b"tIME", b"tEXt"] {
             assert!(!bytes.windows(4).any(|w| w == chunk));
+        }
+    }
+
+    #[test]
+    fn images_of_any_size_come_back_from_chunks() {
+        let noise = |i: u32| [(i * 37) as u8, (i.wrapping_mul(2_654_435_761) >> 24) as u8, (i / 251) as u8];
+        for (width, height) in [(1, 1), (3, 2), (257, 63), (300, 200)] {
+            for texels in [(0..width * height).map(noise).collect(), vec![[7; 3]; (width * height) as usize]] {
+                let picture = Image8 { width, height, texels };
+                let back = image::load_from_memory(&encode_png(&picture).unwrap()).unwrap().to_rgb8();
+                assert_eq!(back.dimensions(), (width, height));
+                assert_eq!(back.as_raw().as_slice(), bytemuck::cast_slice::<_, u8>(&picture.texels));
+            }
         }
     }
 

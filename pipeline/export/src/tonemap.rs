@@ -7,6 +7,7 @@
 
 use glam::Vec3;
 use luxel_scene::texture::linear_to_srgb;
+use luxel_scene::{Cancelled, Progress, watched};
 
 use crate::png::Image8;
 
@@ -34,19 +35,21 @@ pub fn luminance(rgb: Vec3) -> f32 {
 impl ToneMap {
     /// Exposes for a picture of radiances [cd/m²]. Black pixels (nothing there) have no say; a black picture gets
     /// exposure 1.
-    pub fn auto(radiance: &[Vec3]) -> Self {
+    pub fn auto(radiance: &[Vec3], progress: &dyn Progress) -> Result<Self, Cancelled> {
         let seen = |p: &Vec3| p.is_finite() && luminance(*p) > 0.0;
         let mut lit: Vec<f32> = radiance.iter().filter(|p| seen(p)).map(|p| luminance(*p)).collect();
         if lit.is_empty() {
-            return Self { exposure: 1.0, white: 1.0 };
+            return Ok(Self { exposure: 1.0, white: 1.0 });
         }
+        progress.check()?;
         lit.sort_by(f32::total_cmp);
         let at = |share: f64| ((lit.len() - 1) as f64 * share) as usize;
         let middle = &lit[at(TRIM)..=at(1.0 - TRIM)];
-        let mean = middle.iter().map(|l| libm::log(f64::from(*l))).sum::<f64>() / middle.len() as f64;
+        let logs = watched(middle, progress).map(|l| Ok(libm::log(f64::from(*l?))));
+        let mean = logs.sum::<Result<f64, Cancelled>>()? / middle.len() as f64;
         let exposure = (KEY / libm::exp(mean)).clamp(f64::from(f32::MIN_POSITIVE), f64::from(f32::MAX)) as f32;
         let white = (f64::from(lit[at(WHITE)]) * f64::from(exposure)).clamp(1.0, 1e6) as f32;
-        Self { exposure, white }
+        Ok(Self { exposure, white })
     }
 
     /// Display light in [0, 1], linear; black for what is no light.
@@ -69,20 +72,32 @@ impl ToneMap {
     }
 
     /// A whole picture; `radiance` has `width × height` entries, row-major from the top.
-    pub fn picture(&self, width: u32, height: u32, radiance: &[Vec3]) -> Image8 {
-        Image8 { width, height, texels: radiance.iter().map(|p| self.encode(*p)).collect() }
+    pub fn picture(
+        &self,
+        width: u32,
+        height: u32,
+        radiance: &[Vec3],
+        progress: &dyn Progress,
+    ) -> Result<Image8, Cancelled> {
+        let texels = watched(radiance, progress).map(|p| Ok(self.encode(*p?)));
+        Ok(Image8 { width, height, texels: texels.collect::<Result<_, Cancelled>>()? })
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use luxel_scene::Silent;
     use proptest::prelude::*;
+
+    fn auto(radiance: &[Vec3]) -> ToneMap {
+        ToneMap::auto(radiance, &Silent).unwrap()
+    }
 
     #[test]
     fn an_even_wall_is_shown_as_middle_grey_at_any_scale() {
         for level in [1e-6, 1.0, 1e9] {
-            let map = ToneMap::auto(&[Vec3::splat(level); 64]);
+            let map = auto(&[Vec3::splat(level); 64]);
             let grey = map.apply(Vec3::splat(level)).x;
             // At the key, with white = 1: 0.18 · 1.18 / 1.18.
             assert!((grey - 0.18).abs() < 1e-4, "{level}: {grey}");
@@ -91,22 +106,22 @@ mod tests {
 
     #[test]
     fn a_lamp_in_view_and_a_black_sky_do_not_move_the_exposure() {
-        let plain = ToneMap::auto(&[Vec3::ONE; 1000]);
+        let plain = auto(&[Vec3::ONE; 1000]);
         let mut picture = vec![Vec3::ONE; 1000];
         picture[..10].fill(Vec3::splat(1e6));
         picture.extend([Vec3::ZERO; 500]);
-        let with_lamp = ToneMap::auto(&picture);
+        let with_lamp = auto(&picture);
         assert!((plain.exposure / with_lamp.exposure - 1.0).abs() < 1e-6);
     }
 
     #[test]
     fn extremes_stay_in_range() {
-        let map = ToneMap::auto(&[Vec3::splat(f32::MAX), Vec3::splat(f32::MIN_POSITIVE), Vec3::NAN]);
+        let map = auto(&[Vec3::splat(f32::MAX), Vec3::splat(f32::MIN_POSITIVE), Vec3::NAN]);
         for x in [f32::MAX, f32::MIN_POSITIVE, -1.0, f32::NAN, f32::INFINITY, 0.0] {
             let shown = map.apply(Vec3::splat(x));
             assert!(shown.is_finite() && shown.min_element() >= 0.0 && shown.max_element() <= 1.0, "{x}: {shown}");
         }
-        assert_eq!(ToneMap::auto(&[]), ToneMap { exposure: 1.0, white: 1.0 });
+        assert_eq!(auto(&[]), ToneMap { exposure: 1.0, white: 1.0 });
         assert_eq!(map.encode(Vec3::NAN), [0; 3]);
     }
 

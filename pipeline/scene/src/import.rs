@@ -52,7 +52,7 @@ pub use opened::{Opened, scene_extras};
 pub use options::{ImportOptions, Limits};
 pub use sky::LoadedSky;
 
-use crate::Scene;
+use crate::{Progress, Scene, Silent};
 use notes::Notes;
 use place::Placer;
 
@@ -61,26 +61,43 @@ use place::Placer;
 /// # Errors
 /// Whatever the specification forbids, luxel does not read, or a limit of the options excludes.
 pub fn load(path: &Path, options: &ImportOptions) -> Result<Scene, ImportError> {
-    read(path, options).map_err(|fault| fault.in_file(path))
+    load_with(path, options, &Silent)
+}
+
+/// [`load`] that can be cancelled. What nothing interrupts is the parsing of the JSON, the geometry of one primitive,
+/// and the decoding of one JPEG or WebP image (PNG images are looked at while they are decoded).
+///
+/// # Errors
+/// As [`load`]; one of the kind [`FaultKind::Cancelled`] when the scene is no longer wanted.
+pub fn load_with(path: &Path, options: &ImportOptions, progress: &dyn Progress) -> Result<Scene, ImportError> {
+    read(path, options, progress).map_err(|fault| fault.in_file(path))
 }
 
 /// Reads an equirectangular sky (.hdr or .exr) with notices and the digest of the file.
 pub fn load_sky(path: &Path, limits: &Limits) -> Result<LoadedSky, ImportError> {
-    sky::load(path, limits)
+    load_sky_with(path, limits, &Silent)
 }
 
-fn read(path: &Path, options: &ImportOptions) -> Checked<Scene> {
+/// [`load_sky`] that can be cancelled, as [`load_with`].
+pub fn load_sky_with(path: &Path, limits: &Limits, progress: &dyn Progress) -> Result<LoadedSky, ImportError> {
+    sky::load(path, limits, progress)
+}
+
+fn read(path: &Path, options: &ImportOptions, progress: &dyn Progress) -> Checked<Scene> {
     let mut notes = Notes::default();
-    let Opened { buffers, mut files, .. } = Opened::read(path, &options.limits)?;
+    let Opened { buffers, mut files, .. } = Opened::read(path, &options.limits, progress)?;
     let visits = nodes::walk(buffers.document(), &mut notes)?;
-    let mut placer = Placer::new(&buffers, options);
+    let mut placer = Placer::new(&buffers, options, progress);
     for visit in &visits {
+        progress.check()?;
         placer.visit(visit, &mut notes)?;
     }
     let Placer { materials, mut scene, .. } = placer;
-    scene.textures = materials.images.decode(&buffers, &mut files, &options.limits)?;
+    scene.textures = materials.images.decode(&buffers, &mut files, &options.limits, progress)?;
     scene.materials = materials.list;
+    progress.check()?;
     materials::note_clamped(&scene.materials, &scene.textures, &mut notes);
+    progress.check()?;
     power::note(&scene, &mut notes);
     scene.name = path.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned());
     scene.notices = notes.finish();

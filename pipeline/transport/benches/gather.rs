@@ -122,7 +122,7 @@ fn report(scene: &Scene, n: u32) {
     let solution = solve(&rays, &surfels);
     let field = Field::new(&rays, &surfels, &solution).unwrap();
     let start = Instant::now();
-    let tree = LightTree::indirect(&geometry, &surfels, &solution, 0.0);
+    let tree = LightTree::indirect(&geometry, &surfels, &solution, 0.0, &Silent).expect("nobody cancels");
     let build = start.elapsed().as_secs_f64() * 1e3;
     println!("\n{}: {} surfels, light tree of {} lights in {build:.1} ms", scene.name, surfels.list.len(), tree.len());
     println!(

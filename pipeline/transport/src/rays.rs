@@ -17,7 +17,7 @@ mod hierarchy;
 mod triangle;
 
 use glam::{Vec3, Vec3A};
-use luxel_scene::{Alpha, Material};
+use luxel_scene::{Alpha, Cancelled, Material, Progress, Silent, watched};
 use obvhs::{
     aabb::Aabb,
     cwbvh::CwBvh,
@@ -124,9 +124,18 @@ pub struct Rays<'a> {
 
 impl<'a> Rays<'a> {
     pub fn new(geometry: &'a Geometry<'a>) -> Self {
+        match Self::build(geometry, &Silent) {
+            Ok(rays) => rays,
+            Err(Cancelled) => unreachable!("nobody cancels"),
+        }
+    }
+
+    /// [`Rays::new`] that can be cancelled.
+    pub fn build(geometry: &'a Geometry<'a>, progress: &dyn Progress) -> Result<Self, Cancelled> {
         let mut boxes = Vec::new();
         let mut ids = Vec::new();
-        for (i, t) in geometry.triangles.iter().enumerate() {
+        for item in watched(geometry.triangles.iter().enumerate(), progress) {
+            let (i, t) = item?;
             let material = geometry.material(i as u32);
             if t.is_degenerate() || material.unlit || !geometry.scene.instances[t.instance as usize].casts {
                 continue;
@@ -136,13 +145,14 @@ impl<'a> Rays<'a> {
             ids.push(Id::new(i as u32, Kind::of(material)));
         }
         let all_solid = ids.iter().all(|id| id.kind() == Kind::Solid);
-        let mut bvh = hierarchy::build(&boxes);
+        let mut bvh = hierarchy::build(&boxes, progress)?;
         drop(boxes);
         let order = std::mem::take(&mut bvh.primitive_indices);
         bvh.nodes.shrink_to_fit();
         let ids: Vec<Id> = order.iter().map(|&i| ids[i as usize]).collect();
-        let corners = ids.iter().map(|id| Corners::new(geometry.triangles[id.triangle() as usize].corners)).collect();
-        Self { geometry, bvh, corners, ids, all_solid }
+        let corners = |id: &Id| Corners::new(geometry.triangles[id.triangle() as usize].corners);
+        let corners = watched(&ids, progress).map(|id| Ok(corners(id?))).collect::<Result<_, Cancelled>>()?;
+        Ok(Self { geometry, bvh, corners, ids, all_solid })
     }
 
     /// The nearest surface along `direction` (unit) within `[0, max)`, holes skipped, veils included.

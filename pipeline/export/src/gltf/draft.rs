@@ -6,6 +6,7 @@
 
 use std::collections::BTreeSet;
 
+use luxel_scene::Progress;
 use luxel_scene::import::{Checked, Fault, buffers::MESHOPT};
 use serde_json::{Value, json};
 
@@ -64,13 +65,15 @@ impl<'a> Draft<'a> {
     }
 
     /// The finished .glb.
-    pub fn finish(mut self) -> Checked<Vec<u8>> {
+    pub fn finish(mut self, progress: &dyn Progress) -> Checked<Vec<u8>> {
+        progress.check()?;
         let mut possible = references::possible(&self.root);
         // What nothing referred to before may be meant for somebody whom luxel does not know.
         let mut before = self.original.root.clone();
         let was_used = references::used(&mut before, references::accessors);
         let new = std::mem::take(&mut self.accessors);
         settle(&mut self.root, "accessors", references::accessors, new, &was_used, &possible)?;
+        progress.check()?;
         let was_used = references::used(&mut before, references::views);
         possible.retain(|i| *i < self.original.views());
         let (json, new_blobs): (Vec<Value>, Vec<Vec<u8>>) = std::mem::take(&mut self.views).into_iter().unzip();
@@ -82,18 +85,20 @@ impl<'a> Draft<'a> {
                 None => sources.push(Blob::Bytes(bytes)),
             }
         }
-        let bin = self.lay_out(&sources)?;
+        let bin = self.lay_out(&sources, progress)?;
+        progress.check()?;
         let json = serde_json::to_vec(&self.root).map_err(|e| Fault::invalid("JSON", e.to_string()))?;
-        super::glb_bytes(json, &bin)
+        super::glb_bytes(json, &bin, progress)
     }
 
     /// Puts all bufferViews into one buffer. Views that share bytes of a source buffer go on sharing them; bytes that
     /// no view names are left out.
-    fn lay_out(&mut self, sources: &[Blob]) -> Checked<Vec<u8>> {
+    fn lay_out(&mut self, sources: &[Blob], progress: &dyn Progress) -> Checked<Vec<u8>> {
         let mut bin = Vec::new();
         let mut offsets = vec![0; sources.len()];
         let mut ranges: Vec<(usize, usize, usize, usize)> = Vec::new();
         for (i, source) in sources.iter().enumerate() {
+            progress.check()?;
             match source {
                 Blob::Range { buffer, range } => ranges.push((*buffer, range.start, range.end, i)),
                 Blob::Bytes(bytes) => {
@@ -107,6 +112,7 @@ impl<'a> Draft<'a> {
         // The run being copied: its buffer, its end there, and where the buffer's byte 0 would be in `bin`.
         let mut run: Option<(usize, usize, usize)> = None;
         for (buffer, start, end, i) in ranges {
+            progress.check()?;
             let (copied, shift) = match run {
                 Some((b, run_end, shift)) if b == buffer && start < run_end => (run_end, shift),
                 _ => {

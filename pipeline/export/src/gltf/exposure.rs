@@ -6,6 +6,7 @@
 //! an instance refers to the darkest one that still holds its light.
 
 use luxel_atlas::Atlas;
+use luxel_scene::{Cancelled, Progress, watched};
 
 use crate::Lightmap;
 
@@ -37,17 +38,18 @@ pub struct Pictures {
 
 impl Pictures {
     /// `lightmaps` holds one image per page of the atlas.
-    pub fn new(atlas: &Atlas, lightmaps: &[Lightmap]) -> Self {
-        let peaks = peaks(atlas, lightmaps);
+    pub fn new(atlas: &Atlas, lightmaps: &[Lightmap], progress: &dyn Progress) -> Result<Self, Cancelled> {
+        let peaks = peaks(atlas, lightmaps, progress)?;
         let mut pictures = Self { of: vec![None; atlas.placed.len()], ..Self::default() };
         for (page, map) in (0..).zip(lightmaps) {
+            progress.check()?;
             let placed = atlas.placed.iter().enumerate();
             let on_page = placed.filter(|(_, placed)| placed.as_ref().is_some_and(|p| p.page == page));
             let instances: Vec<usize> = on_page.map(|(instance, _)| instance).collect();
             let clipped = pictures.add(page, map, &instances, &peaks);
             pictures.clipped.push(clipped);
         }
-        pictures
+        Ok(pictures)
     }
 
     /// Adds the pictures of a page with these instances; returns how many texels they clip.
@@ -73,16 +75,18 @@ impl Pictures {
 }
 
 /// For each instance the largest band of each of its texels, rising.
-fn peaks(atlas: &Atlas, lightmaps: &[Lightmap]) -> Vec<Vec<f32>> {
+fn peaks(atlas: &Atlas, lightmaps: &[Lightmap], progress: &dyn Progress) -> Result<Vec<Vec<f32>>, Cancelled> {
     let mut counts = vec![0; atlas.placed.len()];
-    for texel in &atlas.texels {
+    for texel in watched(&atlas.texels, progress) {
+        let texel = texel?;
         if let Some(count) = counts.get_mut(atlas.chart(texel).instance as usize) {
             *count += 1;
         }
     }
     // Nothing moves while they are filled.
     let mut peaks: Vec<Vec<f32>> = counts.into_iter().map(Vec::with_capacity).collect();
-    for texel in &atlas.texels {
+    for texel in watched(&atlas.texels, progress) {
+        let texel = texel?;
         let chart = atlas.chart(texel);
         let map = lightmaps.get(chart.page as usize).filter(|map| u32::from(texel.x) < map.width());
         let at = |map: &Lightmap| usize::from(texel.y) * map.width() as usize + usize::from(texel.x);
@@ -91,8 +95,11 @@ fn peaks(atlas: &Atlas, lightmaps: &[Lightmap]) -> Vec<Vec<f32>> {
             peaks.push(light.max_element());
         }
     }
-    peaks.iter_mut().for_each(|peaks| peaks.sort_unstable_by(f32::total_cmp));
-    peaks
+    for peaks in &mut peaks {
+        progress.check()?;
+        peaks.sort_unstable_by(f32::total_cmp);
+    }
+    Ok(peaks)
 }
 
 /// The same over all covered texels of a page.

@@ -31,7 +31,7 @@ mod vertices;
 
 use luxel_atlas::Atlas;
 use luxel_scene::import::{Checked, Fault, FaultKind};
-use luxel_scene::{Notice, Scene};
+use luxel_scene::{Notice, Progress, Scene};
 
 pub use original::Original;
 
@@ -67,28 +67,37 @@ impl Original {
         atlas: &Atlas,
         lightmaps: &[Lightmap],
         names: &[String],
+        progress: &dyn Progress,
     ) -> Result<Glb, ExportError> {
         if lightmaps.len() != atlas.pages.len() || names.len() != atlas.pages.len() {
             let fault = format!("{} images for {} pages", lightmaps.len(), atlas.pages.len());
             return Err(ExportError::Image { what: "lightmap".into(), fault });
         }
-        let pictures = Pictures::new(atlas, lightmaps);
+        let pictures = Pictures::new(atlas, lightmaps, progress)?;
         let texture = |picture: &exposure::Picture| {
             let page = picture.page as usize;
-            let png = bitmap::png(&lightmaps[page], picture.intensity)?;
+            let png = bitmap::png(&lightmaps[page], picture.intensity, progress)?;
             Ok(PageTexture { picture: *picture, png, file: names[page].clone() })
         };
         let textures = pictures.list.iter().map(texture).collect::<Result<_, ExportError>>()?;
         self.check_unchanged(&scene.inputs)?;
-        self.write(scene, atlas, &pictures, textures).map_err(|fault| fault.in_file(&self.path).into())
+        self.write(scene, atlas, &pictures, textures, progress).map_err(|fault| fault.in_file(&self.path).into())
     }
 
-    fn write(&self, scene: &Scene, atlas: &Atlas, pictures: &Pictures, textures: Vec<PageTexture>) -> Checked<Glb> {
+    fn write(
+        &self,
+        scene: &Scene,
+        atlas: &Atlas,
+        pictures: &Pictures,
+        textures: Vec<PageTexture>,
+        progress: &dyn Progress,
+    ) -> Checked<Glb> {
         let mut draft = Draft::new(self);
         let nodes = Nodes::new(self, Materials::new(self, textures), atlas.pages.len() > 1);
         let mut notices = self.notices.clone();
-        nodes.place(&mut draft, scene, atlas, pictures, &mut notices)?.settle(&mut draft)?;
-        Ok(Glb { bytes: draft.finish()?, pages: stats(pictures), notices })
+        let materials = nodes.place(&mut draft, scene, atlas, pictures, &mut notices, progress)?;
+        materials.settle(&mut draft)?;
+        Ok(Glb { bytes: draft.finish(progress)?, pages: stats(pictures), notices })
     }
 }
 
@@ -105,8 +114,11 @@ fn mismatch(place: impl Into<String>, what: &str) -> Fault {
     Fault::new(FaultKind::Invalid, place, what, "bake the scene again")
 }
 
+/// Bytes that are copied between two looks at the progress: some milliseconds.
+const COPIED: usize = 1 << 24;
+
 /// A binary glTF of a JSON text and its buffer.
-fn glb_bytes(mut json: Vec<u8>, bin: &[u8]) -> Checked<Vec<u8>> {
+fn glb_bytes(mut json: Vec<u8>, bin: &[u8], progress: &dyn Progress) -> Checked<Vec<u8>> {
     json.resize(json.len().next_multiple_of(4), b' ');
     let padded = bin.len().next_multiple_of(4);
     let bin_chunk = if bin.is_empty() { 0 } else { 8 + padded };
@@ -126,7 +138,10 @@ fn glb_bytes(mut json: Vec<u8>, bin: &[u8]) -> Checked<Vec<u8>> {
     if !bin.is_empty() {
         bytes.extend(word(padded)?);
         bytes.extend_from_slice(b"BIN\0");
-        bytes.extend_from_slice(bin);
+        for piece in bin.chunks(COPIED) {
+            progress.check()?;
+            bytes.extend_from_slice(piece);
+        }
         bytes.resize(total, 0);
     }
     Ok(bytes)

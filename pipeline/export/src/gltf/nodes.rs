@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use luxel_atlas::{Atlas, Placed};
 use luxel_scene::import::Checked;
-use luxel_scene::{Notice, Scene};
+use luxel_scene::{Notice, Progress, Scene};
 use serde_json::Value;
 
 use super::{
@@ -69,10 +69,13 @@ impl<'a> Nodes<'a> {
         atlas: &Atlas,
         pictures: &Pictures,
         notices: &mut Vec<Notice>,
+        progress: &dyn Progress,
     ) -> Checked<Materials> {
         for (node, baked) in plan(scene, atlas, pictures)? {
+            progress.check()?;
             self.place_node(draft, node, baked)?;
         }
+        progress.check()?;
         // A stranger that means the old mesh may as well have the first copy: it is the same shape.
         settle_copies(&mut draft.root, "meshes", references::meshes, self.copies, BTreeSet::new())?;
         let instanced = |n: &mut Object| super::json::extension(n, instances::EXTENSION).is_some();

@@ -9,13 +9,13 @@ use std::collections::BTreeMap;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
-use luxel_scene::Notice;
 use luxel_scene::import::{
     Checked, Fault, FaultKind, Limits, Opened,
     accessors::Elements,
     buffers::{Buffers, MESHOPT},
     files::{Files, media_type},
 };
+use luxel_scene::{Notice, Progress, Silent};
 use serde_json::Value;
 
 use super::json::{self, Object, item, item_mut, list, list_mut, place};
@@ -46,18 +46,24 @@ pub struct Original {
 impl Original {
     /// Reads a .gltf or .glb with all buffers and images. Errors name the file and the place in it.
     pub fn read(path: &Path) -> Result<Self, ExportError> {
-        Self::load(path, LARGEST).map_err(|fault| fault.in_file(path).into())
+        Self::read_with(path, &Silent)
+    }
+
+    /// [`Original::read`] that can be cancelled.
+    pub fn read_with(path: &Path, progress: &dyn Progress) -> Result<Self, ExportError> {
+        Self::load(path, LARGEST, progress).map_err(|fault| fault.in_file(path).into())
     }
 
     /// Refuses more than `largest` bytes of buffers and images.
-    fn load(path: &Path, largest: u64) -> Checked<Self> {
-        let Opened { json, buffers, files } = Opened::read(path, &Limits::default())?;
+    fn load(path: &Path, largest: u64, progress: &dyn Progress) -> Checked<Self> {
+        let Opened { json, buffers, files } = Opened::read(path, &Limits::default(), progress)?;
+        progress.check()?;
         let root: Value = serde_json::from_slice(&json).map_err(|e| Fault::invalid("JSON", e.to_string()))?;
         let Value::Object(root) = root else { return Err(Fault::invalid("JSON", "it is not an object")) };
         let mut original = Self { path: path.into(), root, buffers, taken_in: Vec::new(), notices: Vec::new(), files };
-        original.check_views()?;
+        original.check_views(progress)?;
         check_size(original.bytes(), largest, "")?;
-        original.load_images(largest)?;
+        original.load_images(largest, progress)?;
         Ok(original)
     }
 
@@ -112,8 +118,9 @@ impl Original {
     }
 
     /// Every bufferView lies within its buffer, and compressed ones decode; they are plain ones from here on.
-    fn check_views(&mut self) -> Checked<()> {
+    fn check_views(&mut self, progress: &dyn Progress) -> Checked<()> {
         for i in 0..self.views() {
+            progress.check()?;
             self.buffers.view(i)?;
             let view = item_mut(&mut self.root, "bufferViews", i)?;
             MESHOPT.iter().for_each(|n| json::remove_extension(view, n));
@@ -124,7 +131,7 @@ impl Original {
 
     /// Turns images with URIs into bufferViews, equal URIs into one. An image that cannot be had keeps its URI, with a
     /// notice: nothing of the lightmap depends on it.
-    fn load_images(&mut self, largest: u64) -> Checked<()> {
+    fn load_images(&mut self, largest: u64, progress: &dyn Progress) -> Checked<()> {
         // View and media type by URI.
         let mut known: BTreeMap<String, (usize, String)> = BTreeMap::new();
         let mut total = self.bytes();
@@ -133,12 +140,13 @@ impl Original {
             let Some(uri) = image.get("uri").and_then(Value::as_str).map(str::to_owned) else { continue };
             if !known.contains_key(&uri) {
                 let at = place(&self.root, "images", i);
-                match self.files.fetch(&uri, &at) {
+                match self.files.fetch_with(&uri, &at, progress) {
                     Ok(bytes) => {
                         total += bytes.len() as u64;
                         check_size(total, largest, &at)?;
                         known.insert(uri.clone(), self.take_in(bytes, &uri)?);
                     }
+                    Err(fault) if fault.is_cancelled() => return Err(fault),
                     Err(fault) => {
                         let message = format!("{}: it is not embedded: {}", fault.place, fault.what);
                         self.notices.push(Notice { code: "image-left-out", message });
@@ -230,8 +238,8 @@ mod tests {
     #[test]
     fn images_are_refused_once_they_are_too_many_for_a_glb() {
         let (_dir, path) = scene(&["a.png", "./a.png", "././a.png"]);
-        assert_eq!(Original::load(&path, 300).unwrap().bytes(), 300);
-        let Err(fault) = Original::load(&path, 299) else { panic!("300 bytes are more than 299") };
+        assert_eq!(Original::load(&path, 300, &Silent).unwrap().bytes(), 300);
+        let Err(fault) = Original::load(&path, 299, &Silent) else { panic!("300 bytes are more than 299") };
         assert!(fault.kind == FaultKind::Limit && fault.place == "image 2", "{fault}");
         assert!(fault.to_string().contains("32 bits"), "{fault}");
     }

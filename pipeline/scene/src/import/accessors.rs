@@ -288,7 +288,7 @@ mod tests {
         let limits = Limits::default();
         let document = Document::parse(json.to_string().as_bytes(), &limits).unwrap();
         let mut files = Files::beside(Path::new("scene.glb"), &limits);
-        test(&Buffers::load(document, Some(bin.to_vec()), &mut files, &limits).unwrap())
+        test(&Buffers::load(document, Some(bin.to_vec()), &mut files, &limits, &crate::Silent).unwrap())
     }
 
     fn floats(values: &[f32]) -> Vec<u8> {

@@ -13,6 +13,7 @@ use super::error::{Bound, Checked, Fault, place};
 use super::files::Files;
 use super::meshopt::Compression;
 use super::options::Limits;
+use crate::Progress;
 
 /// The two names of the same compression.
 pub const MESHOPT: [&str; 2] = ["EXT_meshopt_compression", "KHR_meshopt_compression"];
@@ -33,7 +34,13 @@ pub struct Buffers {
 
 impl Buffers {
     /// Loads all buffers but those that only hold fallback data for a compression that is decoded anyway.
-    pub fn load(document: Document, bin: Option<Vec<u8>>, files: &mut Files, limits: &Limits) -> Checked<Self> {
+    pub fn load(
+        document: Document,
+        bin: Option<Vec<u8>>,
+        files: &mut Files,
+        limits: &Limits,
+        progress: &dyn Progress,
+    ) -> Checked<Self> {
         let mut bin = bin;
         let mut known = BTreeMap::new();
         let mut buffers = Vec::with_capacity(document.root.buffers.len());
@@ -41,7 +48,7 @@ impl Buffers {
             let place = place("buffer", index, buffer.name.as_deref());
             let bytes = match &buffer.uri {
                 _ if is_fallback(buffer) => None,
-                Some(uri) => Some(shared(uri, files, &mut known, &place)?),
+                Some(uri) => Some(shared(uri, files, &mut known, &place, progress)?),
                 // Only the first buffer may be the BIN chunk; others without a URI hold nothing.
                 None if index == 0 => bin.take().map(Arc::new),
                 None => None,
@@ -152,14 +159,16 @@ fn shared(
     files: &mut Files,
     known: &mut BTreeMap<PathBuf, Arc<Vec<u8>>>,
     place: &str,
+    progress: &dyn Progress,
 ) -> Checked<Arc<Vec<u8>>> {
+    progress.check()?;
     let Some(path) = files.path_of(uri, place)? else { return Ok(Arc::new(files.fetch(uri, place)?)) };
     // A file has many names; one that cannot be resolved is about to be refused.
     let key = path.canonicalize().unwrap_or_else(|_| path.clone());
     if let Some(bytes) = known.get(&key) {
         return Ok(Arc::clone(bytes));
     }
-    let bytes = Arc::new(files.read(&path, place)?);
+    let bytes = Arc::new(files.read_with(&path, place, progress)?);
     known.insert(key, Arc::clone(&bytes));
     Ok(bytes)
 }
@@ -180,6 +189,7 @@ fn is_fallback(buffer: &gltf_json::Buffer) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::Silent;
     use crate::import::FaultKind;
     use serde_json::json;
 
@@ -191,7 +201,7 @@ mod tests {
         let json = json!({"asset": {"version": "2.0"}, "buffers": buffers}).to_string();
         let document = Document::parse(json.as_bytes(), limits).unwrap();
         let mut files = Files::beside(&folder.path().join("scene.gltf"), limits);
-        let buffers = Buffers::load(document, None, &mut files, limits)?;
+        let buffers = Buffers::load(document, None, &mut files, limits, &Silent)?;
         Ok((buffers, files.bytes_read()))
     }
 

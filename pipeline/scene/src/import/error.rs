@@ -6,6 +6,8 @@
 use std::fmt;
 use std::path::{Path, PathBuf};
 
+use crate::Cancelled;
+
 /// The nature of a fault, for programs; people read the message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FaultKind {
@@ -17,6 +19,8 @@ pub enum FaultKind {
     Unsupported,
     /// A limit of [`Limits`](super::Limits) is exceeded.
     Limit,
+    /// Nothing is wrong with the file: whoever asked for it does not want it any more.
+    Cancelled,
 }
 
 /// A bound on untrusted input: a field of [`Limits`](super::Limits).
@@ -116,9 +120,20 @@ impl Fault {
         Self::new(FaultKind::Limit, place, what, bound.remedy())
     }
 
+    /// The reading was cancelled.
+    pub fn is_cancelled(&self) -> bool {
+        self.kind == FaultKind::Cancelled
+    }
+
     /// Attaches the file.
     pub fn in_file(self, file: &Path) -> ImportError {
         ImportError { file: file.to_path_buf(), fault: self }
+    }
+}
+
+impl From<Cancelled> for Fault {
+    fn from(cancelled: Cancelled) -> Self {
+        Self::new(FaultKind::Cancelled, "", cancelled.to_string(), "read it again")
     }
 }
 

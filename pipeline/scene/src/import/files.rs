@@ -14,7 +14,10 @@ use base64::engine::{DecodePaddingMode, GeneralPurpose, GeneralPurposeConfig};
 
 use super::error::{Bound, Checked, Fault, FaultKind, quoted};
 use super::options::Limits;
-use crate::InputFile;
+use crate::{Cancelled, InputFile, Progress, Silent, Watched};
+
+/// Bytes that are hashed between two looks at the progress: a millisecond or two.
+const HASHED: usize = 1 << 22;
 
 /// Padding is often left out in the wild; without it the length says the same.
 const BASE64: GeneralPurpose = GeneralPurpose::new(
@@ -57,9 +60,14 @@ impl Files {
     /// Reads a whole regular file within the size limits and records its digest. `place` is what asked for it, empty
     /// when the file is the scene or the sky itself.
     pub fn read(&mut self, path: &Path, place: &str) -> Checked<Vec<u8>> {
+        self.read_with(path, place, &Silent)
+    }
+
+    /// [`Files::read`] that can be cancelled.
+    pub fn read_with(&mut self, path: &Path, place: &str, progress: &dyn Progress) -> Checked<Vec<u8>> {
         let limit = self.limits.file_bytes.min(self.limits.input_bytes.saturating_sub(self.bytes));
         let size = regular(path, place)?;
-        let bytes = if size > limit { Vec::new() } else { front(path, place, limit.saturating_add(1))? };
+        let bytes = if size > limit { Vec::new() } else { front(path, place, limit.saturating_add(1), progress)? };
         // The file may have grown since its size was asked for.
         let size = size.max(bytes.len() as u64);
         if size > limit {
@@ -67,7 +75,7 @@ impl Files {
         }
         self.bytes = self.bytes.saturating_add(bytes.len() as u64);
         if self.seen.insert(path.to_path_buf()) {
-            self.inputs.push(InputFile { path: path.to_path_buf(), digest: *blake3::hash(&bytes).as_bytes() });
+            self.inputs.push(InputFile { path: path.to_path_buf(), digest: digest(&bytes, progress)? });
         }
         Ok(bytes)
     }
@@ -78,7 +86,7 @@ impl Files {
         if size > self.limits.file_bytes {
             return Err(self.too_large(path, place, size));
         }
-        front(path, place, most)
+        front(path, place, most, &Silent)
     }
 
     /// Too large for itself, or with all that was read before.
@@ -98,13 +106,19 @@ impl Files {
 
     /// The bytes behind a URI of the glTF document.
     pub fn fetch(&mut self, uri: &str, place: &str) -> Checked<Vec<u8>> {
+        self.fetch_with(uri, place, &Silent)
+    }
+
+    /// [`Files::fetch`] that can be cancelled.
+    pub fn fetch_with(&mut self, uri: &str, place: &str, progress: &dyn Progress) -> Checked<Vec<u8>> {
+        progress.check()?;
         if let Some(data) = strip_scheme(uri, "data") {
             let bytes = decode_data(data).map_err(|what| Fault::invalid(place, what))?;
             self.bytes = self.bytes.saturating_add(bytes.len() as u64);
             return Ok(bytes);
         }
         let path = self.locate(uri, place)?;
-        self.read(&path, place)
+        self.read_with(&path, place, progress)
     }
 
     /// The path a relative URI means. Percent-encoding is undone as the specification says; names that were written
@@ -166,12 +180,24 @@ fn regular(path: &Path, place: &str) -> Checked<u64> {
 }
 
 /// The first `most` bytes of a file, or all of it.
-fn front(path: &Path, place: &str, most: u64) -> Checked<Vec<u8>> {
+fn front(path: &Path, place: &str, most: u64, progress: &dyn Progress) -> Checked<Vec<u8>> {
     let mut bytes = Vec::new();
-    File::open(path)
-        .and_then(|file| file.take(most).read_to_end(&mut bytes))
-        .map_err(|e| unreadable(place, format!("{} cannot be read ({e})", subject(path, place))))?;
-    Ok(bytes)
+    let read = File::open(path).and_then(|file| Watched::new(file, progress).take(most).read_to_end(&mut bytes));
+    match read {
+        Ok(_) => Ok(bytes),
+        Err(error) if Cancelled::caused(&error) => Err(Cancelled.into()),
+        Err(error) => Err(unreadable(place, format!("{} cannot be read ({error})", subject(path, place)))),
+    }
+}
+
+/// The hash of a file's content.
+fn digest(bytes: &[u8], progress: &dyn Progress) -> Result<[u8; 32], Cancelled> {
+    let mut hasher = blake3::Hasher::new();
+    for piece in bytes.chunks(HASHED) {
+        progress.check()?;
+        hasher.update(piece);
+    }
+    Ok(*hasher.finalize().as_bytes())
 }
 
 /// The media type of a data URI, if it is one and states it.

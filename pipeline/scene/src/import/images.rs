@@ -15,7 +15,7 @@ use super::buffers::Buffers;
 use super::error::{Bound, Checked, Fault, FaultKind, place};
 use super::files::Files;
 use super::options::Limits;
-use crate::{AlphaUse, Averages, Texture, TextureRef};
+use crate::{AlphaUse, Averages, Cancelled, Progress, Texture, TextureRef, Watched};
 
 /// How an image's bytes read as colours: sRGB, or linear data.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -55,12 +55,18 @@ impl Images {
     }
 
     /// Reads and decodes everything that was requested.
-    pub fn decode(self, buffers: &Buffers, files: &mut Files, limits: &Limits) -> Checked<Vec<Texture>> {
+    pub fn decode(
+        self,
+        buffers: &Buffers,
+        files: &mut Files,
+        limits: &Limits,
+        progress: &dyn Progress,
+    ) -> Checked<Vec<Texture>> {
         // Fetching is serial, since it records what it reads; decoding is the slow part.
         let mut encoded: BTreeMap<usize, Cow<[u8]>> = BTreeMap::new();
         for (image, _) in self.requests.keys() {
             if !encoded.contains_key(image) {
-                encoded.insert(*image, fetch(buffers, *image, files)?);
+                encoded.insert(*image, fetch(buffers, *image, files, progress)?);
             }
         }
         let places: BTreeMap<usize, String> =
@@ -76,13 +82,16 @@ impl Images {
                 return Err(Fault::limit(place_of(image), what, Bound::TextureBytes, limits.texture_bytes));
             }
         }
-        let decoded: Vec<Checked<(usize, image::RgbaImage)>> =
-            encoded.par_iter().map(|(image, bytes)| Ok((*image, decode(bytes, place_of(image), limits)?))).collect();
+        let one = |(image, bytes): (&usize, &Cow<[u8]>)| {
+            progress.check()?;
+            Ok((*image, decode(bytes, place_of(image), limits, progress)?))
+        };
+        let decoded: Vec<Checked<(usize, image::RgbaImage)>> = encoded.par_iter().map(one).collect();
         let decoded = decoded.into_iter().collect::<Checked<BTreeMap<_, _>>>()?;
         let mut textures: Vec<Texture> = vec![Texture::default(); self.requests.len()];
         for ((image, encoding), slot) in &self.requests {
             if let (Some(pixels), Some(target)) = (decoded.get(image), textures.get_mut(*slot)) {
-                *target = texture(pixels, *encoding, place_of(image));
+                *target = texture(pixels, *encoding, place_of(image), progress)?;
             }
         }
         Ok(textures)
@@ -119,13 +128,13 @@ fn source(buffers: &Buffers, texture: usize) -> Checked<usize> {
 }
 
 /// The bytes of an image, where they lie in a buffer: any number of images may name the same view.
-fn fetch<'b>(buffers: &'b Buffers, index: usize, files: &mut Files) -> Checked<Cow<'b, [u8]>> {
+fn fetch<'b>(buffers: &'b Buffers, index: usize, files: &mut Files, progress: &dyn Progress) -> Checked<Cow<'b, [u8]>> {
     let place = buffers.document().image_place(index);
     let image = buffers.document().root.images.get(index);
     let image = image.ok_or_else(|| Fault::invalid(&place, "it does not exist"))?;
     match (&image.buffer_view, &image.uri) {
         (Some(view), _) => Ok(Cow::Borrowed(buffers.view(view.value())?)),
-        (None, Some(uri)) => Ok(Cow::Owned(files.fetch(uri, &place)?)),
+        (None, Some(uri)) => Ok(Cow::Owned(files.fetch_with(uri, &place, progress)?)),
         (None, None) => Err(Fault::invalid(place, "it has neither a URI nor a bufferView")),
     }
 }
@@ -171,23 +180,37 @@ fn pixels(bytes: &[u8], place: &str, limits: &Limits) -> Checked<u64> {
     Ok(pixels)
 }
 
-fn decode(bytes: &[u8], place: &str, limits: &Limits) -> Checked<image::RgbaImage> {
-    let mut reader = ImageReader::with_format(Cursor::new(bytes), format(bytes, place)?);
+/// Looks at the progress wherever the decoder asks for bytes: PNG's does all the way, the others take all bytes first.
+fn decode(bytes: &[u8], place: &str, limits: &Limits, progress: &dyn Progress) -> Checked<image::RgbaImage> {
+    let mut reader = ImageReader::with_format(Watched::new(Cursor::new(bytes), progress), format(bytes, place)?);
     let mut bounds = image::Limits::no_limits();
     // 16-bit RGBA and as much again for the decoder's own use.
     bounds.max_alloc = Some(limits.image_pixels.saturating_mul(16));
     reader.limits(bounds);
-    Ok(reader.decode().map_err(|e| broken(place, &e))?.into_rgba8())
+    let decoded = reader.decode();
+    // What was cancelled is not broken.
+    progress.check()?;
+    Ok(decoded.map_err(|e| broken(place, &e))?.into_rgba8())
 }
 
-fn texture(pixels: &image::RgbaImage, encoding: Encoding, name: &str) -> Texture {
-    Texture {
+fn texture(
+    pixels: &image::RgbaImage,
+    encoding: Encoding,
+    name: &str,
+    progress: &dyn Progress,
+) -> Result<Texture, Cancelled> {
+    let mut texels = Vec::with_capacity(pixels.pixels().len());
+    for row in pixels.rows() {
+        progress.check()?;
+        texels.extend(row.map(|p| p.0));
+    }
+    Ok(Texture {
         name: name.to_owned(),
         width: pixels.width(),
         height: pixels.height(),
         srgb: encoding == Encoding::Srgb,
-        texels: pixels.pixels().map(|p| p.0).collect(),
-    }
+        texels,
+    })
 }
 
 #[cfg(test)]
@@ -203,7 +226,7 @@ mod tests {
     fn read(bytes: &[u8]) -> Checked<image::RgbaImage> {
         let limits = Limits { image_pixels: 100, ..Limits::default() };
         pixels(bytes, "image 0", &limits)?;
-        decode(bytes, "image 0", &limits)
+        decode(bytes, "image 0", &limits, &crate::Silent)
     }
 
     #[test]

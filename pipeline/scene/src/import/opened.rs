@@ -11,6 +11,7 @@ use super::error::{Checked, ImportError};
 use super::files::Files;
 use super::options::Limits;
 use super::references;
+use crate::Progress;
 
 /// An opened scene file. No accessor has been read yet, and no image.
 pub struct Opened {
@@ -24,12 +25,14 @@ pub struct Opened {
 
 impl Opened {
     /// Opens the .gltf or .glb at `path`.
-    pub fn read(path: &Path, limits: &Limits) -> Checked<Self> {
+    pub fn read(path: &Path, limits: &Limits, progress: &dyn Progress) -> Checked<Self> {
         let mut files = Files::beside(path, limits);
-        let Container { json, bin } = Container::parse(files.read(path, "")?)?;
+        let Container { json, bin } = Container::parse(files.read_with(path, "", progress)?)?;
+        progress.check()?;
         let document = Document::parse(&json, limits)?;
+        progress.check()?;
         references::check(&document)?;
-        let buffers = Buffers::load(document, bin, &mut files, limits)?;
+        let buffers = Buffers::load(document, bin, &mut files, limits, progress)?;
         Ok(Self { json, buffers, files })
     }
 }

@@ -13,12 +13,13 @@ use super::notes::Notes;
 use super::options::ImportOptions;
 use super::transform::{MAX_COORDINATE, is_singular};
 use super::{instancing, lights, pose, primitives};
-use crate::{Camera, Instance, Mesh, Scene};
+use crate::{Camera, Instance, Mesh, Progress, Scene};
 
 /// Fills a scene node by node.
 pub struct Placer<'a> {
     buffers: &'a Buffers,
     options: &'a ImportOptions,
+    progress: &'a dyn Progress,
     pub materials: Materials,
     pub scene: Scene,
     /// Scene meshes of each glTF mesh that was read.
@@ -31,10 +32,11 @@ pub struct Placer<'a> {
 }
 
 impl<'a> Placer<'a> {
-    pub fn new(buffers: &'a Buffers, options: &'a ImportOptions) -> Self {
+    pub fn new(buffers: &'a Buffers, options: &'a ImportOptions, progress: &'a dyn Progress) -> Self {
         Self {
             buffers,
             options,
+            progress,
             materials: Materials::default(),
             scene: Scene::default(),
             meshes: BTreeMap::new(),
@@ -182,6 +184,7 @@ impl<'a> Placer<'a> {
         let mut out = Vec::new();
         let Some(source) = self.buffers.document().root.meshes.get(mesh) else { return Ok(out) };
         for (index, primitive) in source.primitives.iter().enumerate() {
+            self.progress.check()?;
             let material = primitive.material.map(|m| m.value());
             // The material is looked up only for what is kept, so that points do not bring textures along.
             if let Some(mut read) = primitives::read(self.buffers, (mesh, index), primitive, 0, notes)?

@@ -11,7 +11,7 @@ use super::error::{Bound, Checked, Fault, FaultKind, ImportError};
 use super::files::Files;
 use super::options::Limits;
 use crate::sky::SkyImage;
-use crate::{InputFile, Notice};
+use crate::{InputFile, Notice, Progress, Watched};
 
 /// A sky image with what a report should know about it.
 #[derive(Clone, Debug)]
@@ -26,23 +26,26 @@ pub struct LoadedSky {
 const PLACE: &str = "the sky of --sky or [sky]";
 
 /// Reads a sky; the container is told apart by its content.
-pub fn load(path: &Path, limits: &Limits) -> Result<LoadedSky, ImportError> {
+pub fn load(path: &Path, limits: &Limits, progress: &dyn Progress) -> Result<LoadedSky, ImportError> {
     // Paths of skies come from the command line and from settings files: what concerns the file as a whole says so.
     let origin = |fault: Fault| if fault.place.is_empty() { Fault { place: PLACE.into(), ..fault } } else { fault };
-    read(path, limits).map_err(|fault| origin(fault).in_file(path))
+    read(path, limits, progress).map_err(|fault| origin(fault).in_file(path))
 }
 
-fn read(path: &Path, limits: &Limits) -> Checked<LoadedSky> {
+fn read(path: &Path, limits: &Limits, progress: &dyn Progress) -> Checked<LoadedSky> {
     let mut files = Files::beside(path, limits);
-    let bytes = files.read(path, "")?;
-    let (width, height, texels) = if bytes.starts_with(&[0x76, 0x2f, 0x31, 0x01]) {
-        read_exr(&bytes, limits)?
+    let bytes = files.read_with(path, "", progress)?;
+    let decoded = if bytes.starts_with(&[0x76, 0x2f, 0x31, 0x01]) {
+        read_exr(&bytes, limits, progress)
     } else if bytes.starts_with(b"#?") {
-        read_hdr(&bytes, limits)?
+        read_hdr(&bytes, limits, progress)
     } else {
         let what = "it is neither a Radiance .hdr nor an OpenEXR file";
         return Err(Fault::unsupported("", what, "convert the sky to .hdr or .exr"));
     };
+    // What was cancelled is not broken.
+    progress.check()?;
+    let (width, height, texels) = decoded?;
     if texels.is_empty() || texels.len() as u64 != u64::from(width) * u64::from(height) {
         return Err(Fault::invalid("", "it has no pixels"));
     }
@@ -66,15 +69,15 @@ fn check_size(width: u64, height: u64, limits: &Limits) -> Checked<()> {
     }
 }
 
-fn read_hdr(bytes: &[u8], limits: &Limits) -> Checked<(u32, u32, Vec<Vec3>)> {
-    let decoder = image::codecs::hdr::HdrDecoder::new(Cursor::new(bytes)).map_err(broken)?;
+fn read_hdr(bytes: &[u8], limits: &Limits, progress: &dyn Progress) -> Checked<(u32, u32, Vec<Vec3>)> {
+    let decoder = image::codecs::hdr::HdrDecoder::new(Watched::new(Cursor::new(bytes), progress)).map_err(broken)?;
     let (width, height) = decoder.dimensions();
     check_size(u64::from(width), u64::from(height), limits)?;
     let image = image::DynamicImage::from_decoder(decoder).map_err(broken)?.into_rgb32f();
     Ok((width, height, image.pixels().map(|p| Vec3::from_array(p.0)).collect()))
 }
 
-fn read_exr(bytes: &[u8], limits: &Limits) -> Checked<(u32, u32, Vec<Vec3>)> {
+fn read_exr(bytes: &[u8], limits: &Limits, progress: &dyn Progress) -> Checked<(u32, u32, Vec<Vec3>)> {
     // The headers come first, so that a claimed size is refused before anything of it is allocated.
     let meta = exr::meta::MetaData::read_from_buffered(Cursor::new(bytes), false).map_err(broken)?;
     for header in &meta.headers {
@@ -100,7 +103,7 @@ fn read_exr(bytes: &[u8], limits: &Limits) -> Checked<(u32, u32, Vec<Vec3>)> {
         .first_valid_layer()
         .all_attributes()
         .non_parallel()
-        .from_buffered(Cursor::new(bytes))
+        .from_buffered(Watched::new(Cursor::new(bytes), progress))
         .map_err(broken)?;
     let size = image.layer_data.size;
     let narrow = |n: usize| u32::try_from(n).map_err(broken);
@@ -130,6 +133,7 @@ fn repair(texels: &mut [Vec3]) -> Option<Notice> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::import::load_sky as load;
 
     fn file(folder: &tempfile::TempDir, name: &str, bytes: &[u8]) -> std::path::PathBuf {
         let path = folder.path().join(name);

@@ -40,8 +40,9 @@ use visibility::{Between, Sight};
 /// Receivers that share a tree of tiles. Batches of whole chunks give the very bits of all receivers at once.
 pub(crate) const CHUNK: usize = 2048;
 
-/// Receivers between two questions whether their light is still wanted.
-const BREATH: usize = 32;
+/// Receivers between two questions whether their light is still wanted: one that almost touches a large lamp behind
+/// fine geometry takes some milliseconds.
+const BREATH: usize = 4;
 
 /// How visibility is found out.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]

@@ -5,7 +5,7 @@
 //! ```
 
 use glam::{Vec2, Vec3, Vec4};
-use luxel_scene::{Material, Scene, Surface};
+use luxel_scene::{Cancelled, Material, Progress, Scene, Silent, Surface, watched};
 
 use super::surfel_index::SurfelIndex;
 use crate::{
@@ -32,6 +32,8 @@ pub enum FieldError {
     Edge,
     #[error("surfel {surfel} has a value that is negative or not finite")]
     Value { surfel: usize },
+    #[error(transparent)]
+    Cancelled(#[from] Cancelled),
 }
 
 /// A surface that a ray met on its way.
@@ -64,9 +66,19 @@ pub struct Field<'a> {
 impl<'a> Field<'a> {
     /// Checks that the three belong together.
     pub fn new(rays: &'a Rays<'a>, surfels: &'a Surfels, solution: &'a Solution) -> Result<Self, FieldError> {
-        check(rays, surfels, solution)?;
+        Self::build(rays, surfels, solution, &Silent)
+    }
+
+    /// [`Field::new`] that can be cancelled.
+    pub fn build(
+        rays: &'a Rays<'a>,
+        surfels: &'a Surfels,
+        solution: &'a Solution,
+        progress: &dyn Progress,
+    ) -> Result<Self, FieldError> {
+        check(rays, surfels, solution, progress)?;
         let uniform = uniform_materials(rays.geometry.scene);
-        Ok(Self { rays, surfels, solution, index: SurfelIndex::new(surfels), uniform })
+        Ok(Self { rays, surfels, solution, index: SurfelIndex::build(surfels, progress)?, uniform })
     }
 
     /// Follows a ray from `origin` along `direction` (unit) through all veils, and shows every surface on its way.
@@ -156,7 +168,7 @@ fn uniform_materials(scene: &Scene) -> Vec<Option<Surface>> {
     uniform
 }
 
-fn check(rays: &Rays, surfels: &Surfels, solution: &Solution) -> Result<(), FieldError> {
+fn check(rays: &Rays, surfels: &Surfels, solution: &Solution, progress: &dyn Progress) -> Result<(), FieldError> {
     let (n, direct, indirect) = (surfels.list.len(), solution.direct.len(), solution.indirect.len());
     if direct != n || indirect != n {
         return Err(FieldError::Lengths { surfels: n, direct, indirect });
@@ -166,7 +178,8 @@ fn check(rays: &Rays, surfels: &Surfels, solution: &Solution) -> Result<(), Fiel
     }
     let triangles = rays.geometry.triangles.len();
     let light = |v: Rgb| v.is_finite() && v.min_element() >= 0.0;
-    for (surfel, s) in surfels.list.iter().enumerate() {
+    for item in watched(surfels.list.iter().enumerate(), progress) {
+        let (surfel, s) = item?;
         if s.triangle as usize >= triangles {
             return Err(FieldError::Triangle { surfel, triangle: s.triangle, triangles });
         }

@@ -7,7 +7,7 @@
 //! single texels. All patches of a level are gathered together, so the work stays parallel and its order fixed. When all
 //! nodes are known, one pass averages each with its neighbours where they agree, before anything is interpolated.
 
-use luxel_scene::{Cancelled, Progress};
+use luxel_scene::{Cancelled, Progress, watched};
 use rayon::prelude::*;
 
 use super::{
@@ -61,7 +61,9 @@ pub fn interpolate(
     progress: &dyn Progress,
 ) -> Result<Interpolated, Cancelled> {
     assert_eq!(receivers.len(), cells.len(), "every receiver has a place");
+    progress.check()?;
     let charts = charts(cells);
+    progress.check()?;
     let mut nodes =
         Nodes { receivers, light: vec![Gathered::default(); cells.len()], state: vec![State::Empty; cells.len()] };
     let mut patches: Vec<Patch> = Vec::new();
@@ -72,10 +74,11 @@ pub fn interpolate(
     let (mut gathered, mut settled) = (0, Vec::new());
     while !patches.is_empty() {
         gathered += nodes.gather(gather, &charts, &patches, progress)?;
-        patches = nodes.settle(&charts, patches, settings.refine, &mut settled);
+        patches = nodes.settle(&charts, patches, settings.refine, &mut settled, progress)?;
     }
-    nodes.smooth(&charts, settings);
-    for (patch, corners) in &settled {
+    nodes.smooth(&charts, settings, progress)?;
+    for item in watched(&settled, progress) {
+        let (patch, corners) = item?;
         nodes.fill(&charts[patch.chart as usize], patch, *corners);
     }
     gathered += nodes.gather_rest(gather, progress)?;
@@ -145,7 +148,8 @@ impl Nodes<'_> {
         progress: &dyn Progress,
     ) -> Result<usize, Cancelled> {
         let mut wanted = Vec::new();
-        for patch in patches {
+        for patch in watched(patches, progress) {
+            let patch = patch?;
             for i in charts[patch.chart as usize].corners(patch).into_iter().flatten() {
                 if self.state[i] != State::Gathered {
                     self.state[i] = State::Gathered;
@@ -168,7 +172,8 @@ impl Nodes<'_> {
         wanted: &[usize],
         progress: &dyn Progress,
     ) -> Result<usize, Cancelled> {
-        let receivers: Vec<Receiver> = wanted.iter().map(|&i| self.receivers[i]).collect();
+        let receiver = |i: Result<&usize, Cancelled>| i.map(|i| self.receivers[*i]);
+        let receivers = watched(wanted, progress).map(receiver).collect::<Result<Vec<Receiver>, Cancelled>>()?;
         for (i, light) in wanted.iter().zip(gather.gather(&receivers, progress)?) {
             self.light[*i] = light;
         }
@@ -182,21 +187,23 @@ impl Nodes<'_> {
         patches: Vec<Patch>,
         refine: f32,
         settled: &mut Vec<(Patch, [usize; 4])>,
-    ) -> Vec<Patch> {
+        progress: &dyn Progress,
+    ) -> Result<Vec<Patch>, Cancelled> {
         let mut next = Vec::new();
-        for patch in patches {
+        for patch in watched(patches, progress) {
+            let patch = patch?;
             match self.smooth_corners(&charts[patch.chart as usize], &patch, refine) {
                 Some(corners) => settled.push((patch, corners)),
                 None => next.extend(halves(&patch)),
             }
         }
-        next
+        Ok(next)
     }
 
     /// Smooths all nodes, each from what was gathered.
-    fn smooth(&mut self, charts: &[Grid], settings: NodeSettings) {
+    fn smooth(&mut self, charts: &[Grid], settings: NodeSettings, progress: &dyn Progress) -> Result<(), Cancelled> {
         let joined = |a: usize, b: usize, texels: u32| self.joined(a, b, texels);
-        let smoothed: Vec<Vec<(usize, Gathered)>> = charts
+        let smoothed = charts
             .par_iter()
             .map(|grid| {
                 let at = |x: i64, y: i64| match grid.find(x, y) {
@@ -205,17 +212,22 @@ impl Nodes<'_> {
                     None => Place::Nothing,
                 };
                 let how = Smoothing { at: &at, joined: &joined, reach: settings.stride, alike: settings.refine };
-                let places = (0..grid.height).flat_map(|y| (0..grid.width).map(move |x| [x.into(), y.into()]));
                 let node = |[x, y]: [i64; 2]| match at(x, y) {
                     Place::Node(i) => Some((i, how.smoothed(&self.light, i, [x, y]))),
                     _ => None,
                 };
-                places.filter_map(node).collect()
+                let mut nodes = Vec::new();
+                for y in 0..grid.height {
+                    progress.check()?;
+                    nodes.extend((0..grid.width).filter_map(|x| node([x.into(), y.into()])));
+                }
+                Ok(nodes)
             })
-            .collect();
+            .collect::<Result<Vec<Vec<(usize, Gathered)>>, Cancelled>>()?;
         for (i, light) in smoothed.into_iter().flatten() {
             self.light[i] = light;
         }
+        Ok(())
     }
 
     /// Two receivers lie on one smooth surface, so many texels apart.

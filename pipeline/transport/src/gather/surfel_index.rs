@@ -3,6 +3,7 @@
 //! look-ups stay in the nearest cache; memory is in proportion to the surfels, however large and empty the scene is.
 
 use glam::{IVec3, Vec3};
+use luxel_scene::{Cancelled, Progress, Silent, watched};
 
 use crate::{
     sampling::mix,
@@ -36,9 +37,17 @@ pub struct SurfelIndex<'a> {
 
 impl<'a> SurfelIndex<'a> {
     pub fn new(surfels: &'a Surfels) -> Self {
+        match Self::build(surfels, &Silent) {
+            Ok(index) => index,
+            Err(Cancelled) => unreachable!("nobody cancels"),
+        }
+    }
+
+    /// [`SurfelIndex::new`] that can be cancelled.
+    pub fn build(surfels: &'a Surfels, progress: &dyn Progress) -> Result<Self, Cancelled> {
         let list = &surfels.list;
-        let voxels = || list.chunk_by(|a, b| a.voxel() == b.voxel());
-        let mut bricks = insert_all(voxels().map(|run| run[0].voxel()));
+        let voxels = || watched(list.chunk_by(|a, b| a.voxel() == b.voxel()), progress);
+        let mut bricks = insert_all(voxels().map(|run| Ok(run?[0].voxel())))?;
         let mut occupied = 0;
         for brick in &mut bricks {
             brick.first = occupied;
@@ -47,12 +56,13 @@ impl<'a> SurfelIndex<'a> {
         let mut firsts = vec![0; occupied as usize];
         let mut first = 0;
         for run in voxels() {
+            let run = run?;
             if let Some(number) = number(&bricks, run[0].voxel()) {
                 firsts[number] = first;
             }
             first += run.len() as u32;
         }
-        Self { bricks, firsts, list, origin: surfels.grid.origin, per_edge: 1.0 / surfels.grid.edge }
+        Ok(Self { bricks, firsts, list, origin: surfels.grid.origin, per_edge: 1.0 / surfels.grid.edge })
     }
 
     /// The voxel that holds a point.
@@ -104,10 +114,11 @@ pub(super) fn neighbours(voxel: IVec3, reach: i32) -> impl Iterator<Item = IVec3
 }
 
 /// A table that holds the bricks of all voxels and is at least half free.
-fn insert_all(voxels: impl Iterator<Item = IVec3>) -> Vec<Brick> {
+fn insert_all(voxels: impl Iterator<Item = Result<IVec3, Cancelled>>) -> Result<Vec<Brick>, Cancelled> {
     const FREE: Brick = Brick { place: IVec3::ZERO, first: 0, mask: 0 };
     let (mut table, mut used) = (vec![FREE; 64], 0);
     for voxel in voxels {
+        let voxel = voxel?;
         if 2 * used >= table.len() {
             let mut larger = vec![FREE; 2 * table.len()];
             for brick in table.into_iter().filter(|b| b.mask != 0) {
@@ -122,7 +133,7 @@ fn insert_all(voxels: impl Iterator<Item = IVec3>) -> Vec<Brick> {
         table[at].place = place;
         table[at].mask |= bit;
     }
-    table
+    Ok(table)
 }
 
 /// The slot of a brick, or the free one where it would go. At least half of the slots are free, so the search ends.

@@ -8,6 +8,7 @@
 //! another place or scale would have another tree and other noise.
 
 use glam::Vec3;
+use luxel_scene::{Cancelled, Progress, watched};
 
 use super::{Cluster, Light, LightTree, Lights, Node, VARIANTS, WIDE, left_count, stored_count, weight, wide_count};
 use crate::{
@@ -17,6 +18,9 @@ use crate::{
 
 /// Below this many lights a subtree is built by one thread.
 const TASK: usize = 4096;
+
+/// Subtrees of at least so many lights look at the progress.
+const LOOK: usize = 512;
 
 /// Steps of a key over half the scene's longest side: far finer than a voxel, far coarser than rounding.
 const STEPS: f32 = 32768.0;
@@ -50,37 +54,44 @@ struct Builder<'b> {
     step: f32,
     /// Mean B.
     typical: f32,
+    progress: &'b dyn Progress,
 }
 
-pub(super) fn build(lights: Lights, ambient: f32) -> LightTree {
+pub(super) fn build<'a>(lights: Lights<'a>, ambient: f32, progress: &dyn Progress) -> Result<LightTree<'a>, Cancelled> {
     let counts = |id: &u32| {
         let light = lights.light(*id);
         light.intensity.max_element() > 0.0 || light.area > 0.0
     };
     let mut items: Vec<Item> = Vec::with_capacity(lights.len());
-    items.extend((0..lights.len() as u32).filter(counts).map(|id| Item { key: 0, id }));
-    if items.is_empty() {
-        return LightTree::default();
+    for id in watched(0..lights.len() as u32, progress) {
+        items.extend(Some(id?).filter(counts).map(|id| Item { key: 0, id }));
     }
+    if items.is_empty() {
+        return Ok(LightTree::default());
+    }
+    progress.check()?;
     let (lo, hi) = bounds(items.iter().map(|i| lights.place(i.id).0));
     let scale = 0.5 * (hi - lo).max_element();
     let step = if scale > 0.0 { STEPS / scale } else { 0.0 };
-    let builder = Builder { lights: &lights, ambient, lo, step, typical: typical(&lights, &items) };
+    let builder = Builder { lights: &lights, ambient, lo, step, typical: typical(&lights, &items), progress };
     let mut nodes = vec![EMPTY; stored_count(items.len())];
     let mut choices = vec![0; items.len() - 1];
-    builder.split(&mut items, &mut nodes, &mut choices);
+    builder.split(&mut items, &mut nodes, &mut choices)?;
     // The memory of the items is used again, a half of it given back.
     let order: Vec<u32> = items.into_iter().map(|i| i.id).collect();
     let mut tree = LightTree { lights, order, nodes, choices, chosen: Vec::new(), ambient };
-    tree.chosen = chosen(&tree);
-    tree
+    tree.chosen = chosen(&tree, progress)?;
+    Ok(tree)
 }
 
 /// The representatives of all wide nodes, in their order.
-fn chosen(tree: &LightTree) -> Vec<[u32; VARIANTS]> {
+fn chosen(tree: &LightTree, progress: &dyn Progress) -> Result<Vec<[u32; VARIANTS]>, Cancelled> {
     let mut chosen = Vec::with_capacity(wide_count(tree.len()));
     let mut open: Vec<Cluster> = tree.root().into_iter().collect();
     while let Some(cluster) = open.pop() {
+        if chosen.len().is_multiple_of(LOOK) {
+            progress.check()?;
+        }
         match cluster {
             Cluster::Node(branch) if branch.count as usize > WIDE => {
                 chosen.push(std::array::from_fn(|variant| tree.follow(branch, variant)));
@@ -90,7 +101,7 @@ fn chosen(tree: &LightTree) -> Vec<[u32; VARIANTS]> {
             _ => {}
         }
     }
-    chosen
+    Ok(chosen)
 }
 
 const EMPTY: Node = Node {
@@ -125,13 +136,18 @@ pub(super) fn pair(left: &Light, right: &Light) -> Node {
 impl Builder<'_> {
     /// Sorts `items` into a subtree; `nodes` holds exactly its stored nodes, `choices` one for each of its inner nodes.
     /// The depth of the recursion is the logarithm of the number of lights, since every split is a median.
-    fn split(&self, items: &mut [Item], nodes: &mut [Node], choices: &mut [u8]) -> Summary {
+    fn split(&self, items: &mut [Item], nodes: &mut [Node], choices: &mut [u8]) -> Result<Summary, Cancelled> {
         if let [item] = items {
-            return self.leaf(item.id);
+            return Ok(self.leaf(item.id));
         }
         let count = items.len();
+        // The passes over many lights take a while each.
+        let look = || if count >= LOOK { self.progress.check() } else { Ok(()) };
+        look()?;
         let widest = self.widest(items);
+        look()?;
         let enclosed = (count > 2).then(|| self.enclose(items));
+        look()?;
         for item in items.iter_mut() {
             item.key = self.keys(item.id)[widest];
         }
@@ -151,12 +167,12 @@ impl Builder<'_> {
         let mut go_right = || self.split(right, right_nodes, right_choices);
         let (a, b) = if count > TASK { rayon::join(go_left, go_right) } else { (go_left(), go_right()) };
         let sum;
-        (sum, *choice) = join(&a, &b);
+        (sum, *choice) = join(&a?, &b?);
         if let (Some(node), Some(enclosed)) = (node, enclosed) {
             let Summary { intensity, area, low, high, .. } = sum;
             *node = Node { intensity, area, low, high, ..enclosed };
         }
-        sum
+        Ok(sum)
     }
 
     /// The first of the axes along which the items spread widest.

@@ -33,6 +33,7 @@ mod emitters;
 mod lights;
 
 use glam::Vec3;
+use luxel_scene::{Cancelled, Progress, Silent};
 
 pub use bound::Vantage;
 pub use emitters::{EmitterSamples, emitter_samples};
@@ -111,7 +112,12 @@ pub struct LightTree<'a> {
 impl<'a> LightTree<'a> {
     /// Builds the tree for the ambient radiosity β; lights that are neither bright nor large are left out.
     pub fn new(lights: Vec<Seeded>, ambient: f32) -> Self {
-        build::build(Lights::Samples(lights), ambient)
+        Self::samples(lights, ambient, &Silent).unwrap_or_else(|Cancelled| unreachable!("nobody cancels"))
+    }
+
+    /// [`LightTree::new`] that can be cancelled.
+    pub fn samples(lights: Vec<Seeded>, ambient: f32, progress: &dyn Progress) -> Result<Self, Cancelled> {
+        build::build(Lights::Samples(lights), ambient, progress)
     }
 
     /// The tree over all surfels that have an area. The solution has a value for each of them.
@@ -120,8 +126,9 @@ impl<'a> LightTree<'a> {
         surfels: &'a Surfels,
         solution: &'a Solution,
         ambient: f32,
-    ) -> LightTree<'a> {
-        build::build(Lights::Surfels { geometry, surfels, solution }, ambient)
+        progress: &dyn Progress,
+    ) -> Result<LightTree<'a>, Cancelled> {
+        build::build(Lights::Surfels { geometry, surfels, solution }, ambient, progress)
     }
 
     pub fn is_empty(&self) -> bool {

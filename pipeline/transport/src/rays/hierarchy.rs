@@ -10,7 +10,12 @@
 //! A subtree of n leaves has 2n − 1 nodes, so every subtree knows its place in the list of nodes beforehand: threads
 //! fill disjoint parts and the tree does not depend on their number.
 
+use std::sync::Arc;
+use std::sync::mpsc::{RecvTimeoutError, channel};
+use std::time::Duration;
+
 use glam::Vec3A;
+use luxel_scene::{Cancelled, Progress};
 use obvhs::{
     aabb::Aabb,
     bvh2::{Bvh2, node::Bvh2Node},
@@ -27,14 +32,51 @@ const BINS: usize = 16;
 
 /// Subtrees of at least so many boxes are worth a task of their own.
 const TASK: usize = 4096;
+/// Subtrees of at least so many boxes look at the progress.
+const LOOK: usize = 512;
+/// Nodes whose conversion takes longer than a look can wait: nothing interrupts obvhs, and it takes 0.15 to 0.3 µs a
+/// triangle, for which there are two nodes.
+const LONG: usize = 1 << 18;
+/// Between two looks at the progress while somebody else converts.
+const WAIT: Duration = Duration::from_millis(20);
 
 /// A hierarchy over boxes that is never too deep to traverse.
-pub(super) fn build(boxes: &[Aabb]) -> CwBvh {
+pub(super) fn build(boxes: &[Aabb], progress: &dyn Progress) -> Result<CwBvh, Cancelled> {
     if boxes.is_empty() {
-        return CwBvh::default();
+        return Ok(CwBvh::default());
     }
-    let bvh = convert(&tree(boxes, MAX_BINARY_DEPTH));
-    if depth(&bvh) <= MAX_DEPTH { bvh } else { convert(&tree(boxes, 0)) }
+    let bvh = converted(tree(boxes, MAX_BINARY_DEPTH, progress)?, LONG, progress)?;
+    if depth(&bvh) <= MAX_DEPTH {
+        return Ok(bvh);
+    }
+    converted(tree(boxes, 0, progress)?, LONG, progress)
+}
+
+/// The eight-wide tree of a binary one. A tree of at least `long` nodes is converted on a thread of its own, which is left
+/// to itself when the work is cancelled: it ends within a second for four million triangles, and nobody sees what it made.
+fn converted(bvh: Bvh2, long: usize, progress: &dyn Progress) -> Result<CwBvh, Cancelled> {
+    progress.check()?;
+    if bvh.nodes.len() < long {
+        return Ok(convert(&bvh));
+    }
+    let bvh = Arc::new(bvh);
+    let (sender, receiver) = channel();
+    let work = {
+        let bvh = Arc::clone(&bvh);
+        // After a cancellation there is nobody to send it to.
+        move || drop(sender.send(convert(&bvh)))
+    };
+    if std::thread::Builder::new().name("luxel rays".into()).spawn(work).is_err() {
+        return Ok(convert(&bvh));
+    }
+    loop {
+        match receiver.recv_timeout(WAIT) {
+            Ok(wide) => return Ok(wide),
+            Err(RecvTimeoutError::Timeout) => progress.check()?,
+            // It has panicked; here the panic has somebody to tell.
+            Err(RecvTimeoutError::Disconnected) => return Ok(convert(&bvh)),
+        }
+    }
 }
 
 fn convert(bvh: &Bvh2) -> CwBvh {
@@ -53,12 +95,13 @@ fn depth(bvh: &CwBvh) -> usize {
 }
 
 /// A binary tree with one box a leaf, the upper `free` levels by the heuristic, the rest by medians.
-fn tree(boxes: &[Aabb], free: usize) -> Bvh2 {
+fn tree(boxes: &[Aabb], free: usize, progress: &dyn Progress) -> Result<Bvh2, Cancelled> {
     let mut order: Vec<u32> = (0..boxes.len() as u32).collect();
     let mut nodes = vec![Bvh2Node::default(); 2 * boxes.len() - 1];
     let (root, below) = nodes.split_at_mut(1);
-    root[0] = Subtree { boxes, order: &mut order, first: 0, nodes: below, base: 1, free }.build();
-    Bvh2 { nodes, primitive_indices: order, children_are_ordered_after_parents: true, ..Bvh2::default() }
+    root[0] = Subtree { boxes, order: &mut order, first: 0, nodes: below, base: 1, free, progress }.build()?;
+    progress.check()?;
+    Ok(Bvh2 { nodes, primitive_indices: order, children_are_ordered_after_parents: true, ..Bvh2::default() })
 }
 
 /// A part of the tree on its way.
@@ -72,18 +115,25 @@ struct Subtree<'a> {
     base: usize,
     /// Levels that may still be out of balance.
     free: usize,
+    progress: &'a dyn Progress,
 }
 
 impl Subtree<'_> {
     /// Fills the nodes below the root and returns the root.
-    fn build(self) -> Bvh2Node {
-        let Self { boxes, order, first, nodes, base, free } = self;
+    fn build(self) -> Result<Bvh2Node, Cancelled> {
+        let Self { boxes, order, first, nodes, base, free, progress } = self;
+        // The passes over many boxes take a while each.
+        let is_long = order.len() >= LOOK;
+        let look = || if is_long { progress.check() } else { Ok(()) };
+        look()?;
         let (whole, centers) = bounds(boxes, order);
         if order.len() == 1 {
-            return Bvh2Node::new(whole, 1, first as u32);
+            return Ok(Bvh2Node::new(whole, 1, first as u32));
         }
+        look()?;
         let balanced = order.len().next_power_of_two().trailing_zeros() as usize;
         let cut = if free > balanced { best_split(boxes, order, &centers) } else { None };
+        look()?;
         let middle = cut.map_or(0, |cut| partition(order, |&i| cut.is_left(&boxes[i as usize])));
         // Rounding may leave a side empty; then the median decides, as it does where all centres coincide.
         let middle = if middle == 0 || middle == order.len() { by_median(boxes, order, &centers) } else { middle };
@@ -93,12 +143,13 @@ impl Subtree<'_> {
         let (base_left, base_right) = (base + 2, base + 2 * left.len());
         let (first_right, free) = (first + middle, free.saturating_sub(1));
         let is_large = left.len().min(right.len()) >= TASK;
-        let left = Subtree { boxes, order: left, first, nodes: below_left, base: base_left, free };
-        let right = Subtree { boxes, order: right, first: first_right, nodes: below_right, base: base_right, free };
+        let left = Subtree { boxes, order: left, first, nodes: below_left, base: base_left, free, progress };
+        let right =
+            Subtree { boxes, order: right, first: first_right, nodes: below_right, base: base_right, free, progress };
         let (left, right) =
             if is_large { rayon::join(|| left.build(), || right.build()) } else { (left.build(), right.build()) };
-        children.copy_from_slice(&[left, right]);
-        Bvh2Node::new(whole, 0, base as u32)
+        children.copy_from_slice(&[left?, right?]);
+        Ok(Bvh2Node::new(whole, 0, base as u32))
     }
 }
 
@@ -205,6 +256,7 @@ fn partition(order: &mut [u32], is_left: impl Fn(&u32) -> bool) -> usize {
 mod tests {
     use super::*;
     use crate::sampling;
+    use luxel_scene::Silent;
 
     fn onion(layers: u32, growth: f32) -> Vec<Aabb> {
         (0..layers).map(|i| Vec3A::splat(4096.0 / libm::powf(growth, i as f32))).map(|r| Aabb::new(-r, r)).collect()
@@ -222,7 +274,7 @@ mod tests {
         // One half of the rest is beyond the first cut at every level.
         let halves = (0..120).map(|i| Vec3A::splat(libm::exp2f(-(i as f32)))).map(|p| Aabb::new(p, p)).collect();
         for boxes in [onion(50_000, 1.0002), onion(100, 2.0), same, halves] {
-            let bvh = build(&boxes);
+            let bvh = build(&boxes, &Silent).unwrap();
             assert!(depth(&bvh) <= MAX_DEPTH, "{} boxes: {}", boxes.len(), depth(&bvh));
             assert!(is_whole(&bvh, boxes.len() as u32));
         }
@@ -231,8 +283,24 @@ mod tests {
     #[test]
     fn medians_alone_make_a_whole_and_balanced_tree() {
         let boxes = onion(5000, 1.002);
-        let bvh = convert(&tree(&boxes, 0));
+        let bvh = convert(&tree(&boxes, 0, &Silent).unwrap());
         assert!(depth(&bvh) <= 13 && is_whole(&bvh, 5000));
+    }
+
+    #[test]
+    fn a_conversion_is_the_same_wherever_it_runs_and_can_be_left() {
+        struct Unwanted;
+        impl Progress for Unwanted {
+            fn begin(&self, _: &'static str, _: u64) {}
+            fn advance(&self, _: u64) {}
+            fn is_cancelled(&self) -> bool {
+                true
+            }
+        }
+        let tree = || tree(&onion(3000, 1.002), MAX_BINARY_DEPTH, &Silent).unwrap();
+        let here = converted(tree(), usize::MAX, &Silent).unwrap();
+        assert!(converted(tree(), 0, &Silent).unwrap() == here);
+        assert!(converted(tree(), 0, &Unwanted).is_err() && converted(tree(), usize::MAX, &Unwanted).is_err());
     }
 
     #[test]
@@ -242,6 +310,7 @@ mod tests {
             .map(|p| Aabb::new(p, p + 0.01))
             .collect();
         let on = |threads| rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        assert!(on(1).install(|| build(&boxes)) == on(2).install(|| build(&boxes)));
+        let on = |threads| on(threads).install(|| build(&boxes, &Silent)).unwrap();
+        assert!(on(1) == on(2));
     }
 }

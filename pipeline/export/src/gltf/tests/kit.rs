@@ -86,7 +86,8 @@ impl File {
     pub fn write_glb(&self, path: &Path) {
         let mut root = self.root.clone();
         root["buffers"] = json!([{"byteLength": self.bin.len()}]);
-        let bytes = super::super::glb_bytes(serde_json::to_vec(&root).unwrap(), &self.bin).unwrap();
+        let bytes =
+            super::super::glb_bytes(serde_json::to_vec(&root).unwrap(), &self.bin, &luxel_scene::Silent).unwrap();
         std::fs::write(path, bytes).unwrap();
     }
 
@@ -215,7 +216,7 @@ pub fn names(pages: u32) -> Vec<String> {
 /// Bakes the file with a given atlas.
 pub fn bake(original: &Original, scene: &Scene, atlas: &Atlas) -> Glb {
     let pages = atlas.pages.len() as u32;
-    original.lightmapped(scene, atlas, &lightmaps(pages), &names(pages)).unwrap()
+    original.lightmapped(scene, atlas, &lightmaps(pages), &names(pages), &luxel_scene::Silent).unwrap()
 }
 
 /// Raw elements of an accessor.

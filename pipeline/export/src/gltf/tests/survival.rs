@@ -173,7 +173,7 @@ fn a_file_that_changed_under_the_bake_is_refused() {
     let mut scene = import(&original);
     let atlas = split(&scene, 1);
     let refused = |scene: &luxel_scene::Scene| {
-        original.lightmapped(scene, &atlas, &lightmaps(1), &names(1)).unwrap_err().to_string()
+        original.lightmapped(scene, &atlas, &lightmaps(1), &names(1), &luxel_scene::Silent).unwrap_err().to_string()
     };
     scene.inputs.push(luxel_scene::InputFile { path: original.path.clone(), digest: [0; 32] });
     assert!(refused(&scene).contains("has changed"));
@@ -182,13 +182,13 @@ fn a_file_that_changed_under_the_bake_is_refused() {
         (scene.instances[0].node, scene.instances[0].gpu_instance) = (node, gpu_instance);
         assert!(refused(&scene).contains("node "), "{}", refused(&scene));
     }
-    assert!(original.lightmapped(&scene, &atlas, &[], &[]).is_err());
+    assert!(original.lightmapped(&scene, &atlas, &[], &[], &luxel_scene::Silent).is_err());
 }
 
 #[test]
 fn the_container_counts_its_bytes() {
-    let bytes = glb_bytes(b"{}".to_vec(), &[1, 2, 3, 4, 5]).ok().unwrap();
+    let bytes = glb_bytes(b"{}".to_vec(), &[1, 2, 3, 4, 5], &luxel_scene::Silent).ok().unwrap();
     assert_eq!(bytes.len() % 4, 0);
     assert_eq!(u32::from_le_bytes(bytes[8..12].try_into().unwrap()) as usize, bytes.len());
-    assert_eq!(glb_bytes(b"{}".to_vec(), &[]).ok().unwrap().len(), 24);
+    assert_eq!(glb_bytes(b"{}".to_vec(), &[], &luxel_scene::Silent).ok().unwrap().len(), 24);
 }

@@ -28,7 +28,7 @@
 mod cut;
 
 use glam::Vec3;
-use luxel_scene::{Cancelled, Progress};
+use luxel_scene::{Cancelled, Progress, Silent};
 
 use self::cut::{Cut, Source};
 use super::{Field, Gather, Gathered, Receiver, hemisphere::Hemisphere, refresh::surfel_receiver, run};
@@ -106,20 +106,33 @@ struct Near {
 
 impl<'a> Lightcuts<'a> {
     pub fn new(field: &'a Field<'a>, settings: Settings) -> Self {
+        match Self::build(field, settings, &Silent) {
+            Ok(cuts) => cuts,
+            Err(Cancelled) => unreachable!("nobody cancels"),
+        }
+    }
+
+    /// [`Lightcuts::new`] that can be cancelled.
+    pub fn build(field: &'a Field<'a>, settings: Settings, progress: &dyn Progress) -> Result<Self, Cancelled> {
         let geometry = field.rays.geometry;
-        let covered = is_covered(field);
+        let covered = is_covered(field, progress)?;
         let ambient = if covered { mean_radiosity(field) } else { 0.0 };
+        progress.check()?;
         let indirect = if settings.indirect {
-            LightTree::indirect(geometry, field.surfels, field.solution, ambient)
+            LightTree::indirect(geometry, field.surfels, field.solution, ambient, progress)?
         } else {
             LightTree::default()
         };
         let samples = emitter_samples(geometry, settings.emitter_samples);
         let cap = |size: f32| 1.0 / (NEAR * size * (NEAR * size));
         let caps = [cap(field.surfels.grid.edge), cap(samples.spacing.max(OFFSET))];
-        let direct =
-            if settings.emitter_samples > 0 { LightTree::new(samples.lights, 0.0) } else { LightTree::default() };
-        Self {
+        progress.check()?;
+        let direct = if settings.emitter_samples > 0 {
+            LightTree::samples(samples.lights, 0.0, progress)?
+        } else {
+            LightTree::default()
+        };
+        Ok(Self {
             field,
             settings,
             indirect,
@@ -127,7 +140,7 @@ impl<'a> Lightcuts<'a> {
             caps,
             hemisphere: Hemisphere::new(settings.near_rays.max(1)),
             covered,
-        }
+        })
     }
 
     /// All that lit surfels see are surfels.
@@ -237,19 +250,24 @@ fn mean_radiosity(field: &Field) -> f32 {
 
 /// Rays from evenly chosen lit surfels all end on surfels: nothing that is lit sees a way out. Less than what
 /// [`crate::solve::is_closed`] asks, for which nothing may see one, lit or not, nor the back of a surface.
-fn is_covered(field: &Field) -> bool {
+fn is_covered(field: &Field, progress: &dyn Progress) -> Result<bool, Cancelled> {
     let (most, rays) = PROBES;
     let reflects = |i: &usize| (field.surfels.list[*i].albedo() * field.solution.total(*i)).max_element() > 0.0;
     let lit: Vec<usize> = (0..field.surfels.list.len()).filter(reflects).collect();
     let hemisphere = Hemisphere::new(rays);
     let step = lit.len().div_ceil(most).max(1);
-    lit.iter().step_by(step).all(|&i| {
+    for &i in lit.iter().step_by(step) {
+        progress.check()?;
         let receiver = surfel_receiver(field, &field.surfels.list[i]);
         let origin = receiver.position + receiver.normal * OFFSET;
-        hemisphere.about(receiver.normal, receiver.seed).directions().all(|direction| {
+        let is_covered = hemisphere.about(receiver.normal, receiver.seed).directions().all(|direction| {
             let mut covered = false;
             field.walk(origin, direction, |e| covered = e.known && e.share == Rgb::ONE);
             covered
-        })
-    })
+        });
+        if !is_covered {
+            return Ok(false);
+        }
+    }
+    Ok(true)
 }
