@@ -279,7 +279,7 @@ fn names_that_are_taken_are_told_before_any_work() {
     }
     // Where nothing can be stored, the bake is none the worse.
     let said = quick(&["bake", "cornell.glb", "--out", "c"], folder.path()).ended(0).stderr;
-    assert!(said.contains(".luxel") && said.contains("cannot be stored"), "{said}");
+    assert!(said.contains(".luxel") && said.contains("cannot be written"), "{said}");
 }
 
 /// A bake that cannot fit is refused before any work; a plan says so too.
