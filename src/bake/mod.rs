@@ -33,7 +33,7 @@ use luxel_transport::geometry::Geometry;
 use crate::Error;
 use crate::plan::{Plan, Stage};
 use crate::settings::{Resolved, Settings};
-use crate::store::{Store, StoreOptions};
+use crate::store::{self, Store, StoreOptions};
 use groups::Lighting;
 use journal::Journal;
 use keys::Keys;
@@ -147,6 +147,7 @@ fn run(request: &Request, progress: &dyn Progress) -> Result<Baked, Error> {
     let Lit { lightmaps, bounds, .. } = lit;
     let files = export::write(&request.outputs, (&lightmaps, &bounds), picture.as_deref(), &glb, &key, &mut report)?;
     store.evict();
+    store::sweep(request.outputs.folder());
     Ok(Baked { report, files, inputs: inputs.read, seconds: start.elapsed().as_secs_f64() })
 }
 
