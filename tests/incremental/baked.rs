@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
+use glam::Vec3;
 use luxel::plan::Plan;
 use luxel::settings::{Layer, Origin, Resolved, for_scene};
 use luxel::store::StoreOptions;
@@ -13,7 +14,7 @@ use serde_json::Value;
 use tempfile::TempDir;
 
 use crate::level::{Level, SCENE};
-use crate::tool::files;
+use crate::tool::{files, lightmap};
 
 /// A folder with a level in it and a store that stays.
 pub struct Place {
@@ -26,6 +27,8 @@ pub struct Baked {
     /// Without the report.
     pub files: BTreeMap<String, Vec<u8>>,
     pub report: Value,
+    /// Irradiance of all pages [lux]. Files of other inputs are other files in any case: they hold a digest of them.
+    pub light: Vec<Vec3>,
 }
 
 /// Where a bake writes and what it remembers.
@@ -109,7 +112,9 @@ impl Baked {
         let mut files = files(out);
         let name = files.keys().find(|name| name.ends_with(".bake.json")).expect("there is a report").clone();
         let report = serde_json::from_slice(&files.remove(&name).unwrap()).unwrap();
-        Self { files, report }
+        let pages = files.keys().filter(|name| name.contains(".lightmap."));
+        let light = pages.flat_map(|name| lightmap(&out.join(name)).irradiance().to_vec()).collect();
+        Self { files, report, light }
     }
 
     fn stages(&self) -> impl Iterator<Item = (&str, &Value)> {

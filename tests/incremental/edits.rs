@@ -333,8 +333,7 @@ fn change_image(level: &mut Level, random: &mut Random) -> String {
             format!("sky image {}", level.sky)
         }
         1 => {
-            let at = random.place();
-            level.camera = Some(json!({ "at": at, "aspect": 10.0 }));
+            level.camera = Some(json!({ "at": [random.number(-1.0, 1.0), 1.0, 9.0], "aspect": 10.0 }));
             "another view".into()
         }
         2 => {
@@ -350,10 +349,10 @@ fn change_image(level: &mut Level, random: &mut Random) -> String {
 }
 
 /// Settings with values, all cheap.
-const SETTINGS: [(&str, &[&str]); 30] = [
+pub const SETTINGS: [(&str, &[&str]); 30] = [
     ("size", &["32", "48"]),
     ("texel_density", &["\"auto\"", "6"]),
-    ("padding", &["2", "1", "4"]),
+    ("padding", &["2", "3", "4"]),
     ("only", &["\"all\"", "\"direct\"", "\"indirect\""]),
     ("double_sided", &["\"front\"", "\"average\"", "\"max\""]),
     ("bound", &["true", "false"]),

@@ -20,8 +20,6 @@ fn level() -> Level {
     level.set("voxels", "100");
     level.set("sky", "\"1,1,1\"");
     level.set("gather", "\"lightcuts\"");
-    // Nothing is seen from there, so the picture is made in no time.
-    level.camera = Some(json!({ "at": [0.0, 1.0, -9.0], "aspect": 10.0 }));
     level
 }
 

@@ -20,7 +20,7 @@ use crate::level::{Level, SCENE};
 
 /// Kills at moments that are spread over a whole bake, and at moments after it began to write its outputs.
 const SPREAD: u64 = 100;
-const WRITING: u64 = 30;
+const WRITING: u64 = 20;
 
 /// A bake that takes a while in each of its stages.
 fn level(variant: u64) -> Level {

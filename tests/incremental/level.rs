@@ -21,12 +21,14 @@ pub struct Shape {
     pub colors: Option<u32>,
     /// It brings a lightmap layout of its own.
     pub has_layout: bool,
+    /// Only this one of its primitives is there.
+    pub part: Option<usize>,
 }
 
 impl Shape {
     pub fn cuboid(size: [f32; 3], materials: &[usize]) -> Self {
         let materials = materials.to_vec();
-        Self { size, is_quad: false, materials, normals: true, colors: None, has_layout: false }
+        Self { size, is_quad: false, materials, normals: true, colors: None, has_layout: false, part: None }
     }
 
     /// A quad about its origin that looks along +Z.
@@ -129,10 +131,77 @@ impl Level {
             ],
             images: vec![1, 2],
             sky: 1,
-            // A wide strip: the picture is the larger part of such a bake.
-            camera: Some(json!({ "at": [0.0, 1.0, 4.0], "aspect": 10.0 })),
+            // A wide strip from afar: else the picture would be the larger part of such a bake.
+            camera: Some(json!({ "at": [0.0, 1.0, 9.0], "aspect": 10.0 })),
             settings,
         }
+    }
+
+    /// The same with nearly everything that a bake can read: noise that depends on names, groups of several lights, a
+    /// sky that shares one, holes, veils, textures in all their uses, layouts of its own.
+    pub fn rich() -> Self {
+        let mut level = Self::new();
+        for (setting, value) in [
+            ("gather", "\"final\""),
+            ("node_spacing", "1"),
+            ("refresh", "4"),
+            ("double_sided", "\"average\""),
+            ("sky", "\"sky.exr\""),
+            ("size", "48"),
+            ("lamp_radius", "0.1"),
+            ("sun_angle", "3"),
+        ] {
+            level.set(setting, value);
+        }
+        let reference = |index: usize| json!({ "index": index });
+        let mut leaves = matte([0.4, 0.8, 0.3]);
+        leaves["pbrMetallicRoughness"]["baseColorTexture"] = reference(4);
+        leaves["alphaMode"] = json!("MASK");
+        leaves["doubleSided"] = json!(true);
+        let mut glass = matte([0.9, 0.6, 0.6]);
+        glass["extensions"] = json!({ "KHR_materials_transmission": { "transmissionFactor": 0.6 } });
+        let mut screen = matte([0.1, 0.1, 0.1]);
+        screen["emissiveFactor"] = json!([3.0, 3.0, 3.0].map(|x| x / 3.0));
+        screen["emissiveTexture"] = reference(5);
+        let mut metal = matte([0.8, 0.8, 0.3]);
+        metal["pbrMetallicRoughness"]["metallicFactor"] = json!(0.7);
+        metal["pbrMetallicRoughness"]["metallicRoughnessTexture"] = reference(1);
+        level.materials.extend([leaves, glass, screen, metal]);
+        let turned = json!({ "offset": [0.25, 0.125], "rotation": 0.5, "scale": [1.5, 0.5] });
+        level.materials[1]["pbrMetallicRoughness"]["baseColorTexture"] =
+            json!({ "index": 1, "extensions": { "KHR_texture_transform": turned } });
+        let chest = |part| Shape { has_layout: true, part, ..Shape::cuboid([0.4, 0.3, 0.3], &[3, 7]) };
+        let colored = Shape { colors: Some(3), ..Shape::cuboid([0.3, 0.3, 0.3], &[0]) };
+        level.shapes.extend([
+            Shape::quad([0.8, 0.8], 4),
+            Shape::quad([0.7, 0.7], 5),
+            Shape::quad([0.5, 0.5], 6),
+            chest(None),
+            colored,
+            chest(Some(0)),
+            chest(Some(1)),
+        ]);
+        level.lights.push(json!({ "name": "bulb", "type": "point", "intensity": 11.0 }));
+        level.lights.push(json!({ "name": "sun", "type": "directional", "intensity": 2.0 }));
+        let in_group = |mut node: Value, group: &str| {
+            node["extras"] = json!({ "luxel_group": group });
+            node
+        };
+        let mut sun = in_group(lamp("sun", 3, [0.0, 3.0, 0.0]), "sky");
+        sun["rotation"] = json!(LYING);
+        level.nodes.extend([
+            object("leaves", 4, [0.2, 0.9, 0.1]),
+            object("glass", 5, [-0.3, 0.8, 0.7]),
+            object("screen", 6, [1.1, 0.6, -1.4]),
+            object("chest", 7, [1.0, 0.2, 0.4]),
+            object("ball", 8, [-1.3, 0.2, 0.9]),
+            lamp("second", 2, [-1.0, 1.1, -1.0]),
+            sun,
+        ]);
+        for name in ["bulb", "spot"] {
+            level.node(name)["extras"] = json!({ "luxel_group": "lamps" });
+        }
+        level
     }
 
     /// The node of this name.
@@ -238,8 +307,10 @@ impl Bin {
     fn mesh(&mut self, shape: &Shape) -> Value {
         let sides: Vec<usize> = if shape.is_quad { vec![0] } else { (0..6).collect() };
         let count = shape.materials.len().min(sides.len());
-        let parts = sides.chunks(sides.len().div_ceil(count)).zip(&shape.materials);
-        let primitives: Vec<Value> = parts.map(|(sides, material)| self.primitive(shape, sides, *material)).collect();
+        let parts = sides.chunks(sides.len().div_ceil(count)).zip(&shape.materials).enumerate();
+        let parts = parts.filter(|(number, _)| shape.part.is_none_or(|part| part == *number));
+        let primitives: Vec<Value> =
+            parts.map(|(_, (sides, material))| self.primitive(shape, sides, *material)).collect();
         json!({ "primitives": primitives })
     }
 

@@ -5,7 +5,8 @@
 //! | `level` | a small level that can be edited in every way that a bake may notice |
 //! | `baked` | a bake of it, what ran for it, and what of it has to be the same whatever ran |
 //! | `stages` | which stages an edit costs, in which words, and that a plan foresees it |
-//! | `edits` | random edits, and those that keys could miss |
+//! | `edits` | random edits |
+//! | `singles` | everything that a bake reads, changed for itself |
 //! | `sequences` | after every edit the incremental bake has the bytes of the clean one |
 //! | `faults` | a spoilt store costs reuse alone |
 //! | `killed` | a bake that is killed leaves whole files, and nothing that a later one trips over |
@@ -17,6 +18,7 @@ mod faults;
 mod killed;
 mod level;
 mod sequences;
+mod singles;
 mod stages;
 mod together;
 #[path = "../tool/mod.rs"]
