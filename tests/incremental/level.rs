@@ -147,7 +147,6 @@ impl Level {
             ("refresh", "4"),
             ("double_sided", "\"average\""),
             ("sky", "\"sky.exr\""),
-            ("size", "48"),
             ("lamp_radius", "0.1"),
             ("sun_angle", "3"),
         ] {

@@ -6,7 +6,7 @@ use crate::level::{Level, SCENE};
 
 /// Sequences, and how often each is baked after its first bake.
 const SEQUENCES: u64 = 30;
-const BAKES: usize = 4;
+const BAKES: usize = 3;
 
 /// Bakes a sequence; says what differs, and after which edits.
 fn sequence(seed: u64) -> Result<usize, String> {
