@@ -37,7 +37,7 @@ use luxel_transport::geometry::Geometry;
 use crate::Error;
 use crate::plan::{Plan, Stage};
 use crate::settings::{Resolved, Settings};
-use crate::store::{Key, Kind, Store, StoreOptions, Writer};
+use crate::store::{self, Key, Kind, Store, StoreOptions, Writer};
 use groups::Lighting;
 use journal::Journal;
 use keys::Keys;
@@ -222,6 +222,7 @@ fn run(
     let images = (&lightmaps[..], &bounds[..]);
     let files = export::write(&request.outputs, images, picture.as_deref(), &glb, &key, &mut report, progress)?;
     store.evict();
+    store::sweep(request.outputs.folder());
     Ok(Baked { report, files, inputs: inputs.read, seconds: start.elapsed().as_secs_f64() })
 }
 

@@ -59,6 +59,19 @@ impl Collected {
     }
 }
 
+/// Removes temporary files of killed bakes from a folder of outputs, where they have the same names as in a store. One
+/// that cannot be removed stays: it takes part in nothing, and the next bake tries again.
+pub fn sweep(folder: &Path) {
+    let leftovers = Listing::new(folder).map(|listing| listing.leftovers).unwrap_or_default();
+    if leftovers.is_empty() {
+        return;
+    }
+    let Ok(now) = clock(folder) else { return };
+    for held in leftovers.iter().filter(|held| held.age(now) > LEFTOVER_AGE) {
+        let _stays = held.remove();
+    }
+}
+
 impl Store {
     /// Makes the store smaller than its cap where it is not, by the rule above, and removes what killed bakes left. What
     /// stands in the way is noted; nobody else's file that vanishes meanwhile is missed.

@@ -43,7 +43,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
-pub use evict::{Collected, GRACE, LEFTOVER_AGE};
+pub use evict::{Collected, GRACE, LEFTOVER_AGE, sweep};
 pub use file::{Format, Key, Miss, OCTREE, Reader, Writer, read, write};
 pub use find::find;
 pub use kind::Kind;
