@@ -56,7 +56,7 @@ pub fn with<T>(
 ) -> Result<T, Error> {
     let how = DirectSettings { samples: settings.shadow_samples.0, ..DirectSettings::default() };
     if !is_crowded(rays.geometry, emitters) {
-        return work(&Direct::new(rays, emitters, how));
+        return work(&Direct::build(rays, emitters, how, progress)?);
     }
     let punctual = Emitters { areas: Vec::new(), ..emitters.clone() };
     // Emitters are found by rays and by their own tree: no surfel is asked for anything.
@@ -70,7 +70,8 @@ pub fn with<T>(
         indirect: false,
         emitter_samples: (SAMPLES.0 * emitters.areas.len()).max(SAMPLES.1),
     };
-    work(&Crowd { punctual: Direct::new(rays, &punctual, how), surfaces: Lightcuts::build(&field, cuts, progress)? })
+    let punctual = Direct::build(rays, &punctual, how, progress)?;
+    work(&Crowd { punctual, surfaces: Lightcuts::build(&field, cuts, progress)? })
 }
 
 /// Lamps and suns one by one, emissive surfaces by cuts.

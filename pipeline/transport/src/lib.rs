@@ -18,6 +18,7 @@
 //! Invariants: no module here reads a file, a clock or the number of threads to decide a value; the same input
 //! gives the same bytes. Lengths are in the units of the [`frame::Frame`], light is in SI photometric units.
 
+mod aside;
 pub mod direct;
 pub mod directions;
 pub mod frame;

@@ -21,7 +21,7 @@ mod tiles;
 mod visibility;
 
 use glam::DVec3;
-use luxel_scene::{Cancelled, Progress};
+use luxel_scene::{Cancelled, Progress, Silent};
 use rayon::prelude::*;
 
 use crate::{
@@ -86,12 +86,26 @@ enum Target<'a> {
 
 impl<'a> Direct<'a> {
     pub fn new(rays: &'a Rays<'a>, emitters: &'a Emitters, settings: DirectSettings) -> Self {
+        match Self::build(rays, emitters, settings, &Silent) {
+            Ok(direct) => direct,
+            Err(Cancelled) => unreachable!("nobody cancels"),
+        }
+    }
+
+    /// [`Direct::new`] that can be cancelled.
+    pub fn build(
+        rays: &'a Rays<'a>,
+        emitters: &'a Emitters,
+        settings: DirectSettings,
+        progress: &dyn Progress,
+    ) -> Result<Self, Cancelled> {
         let blocks = settings.samples.clamp(1, 1 << 16).div_ceil(target::LANES as u32);
         let patterns: Vec<_> = (0..blocks).map(Pattern::new).collect();
         let areas = emitters.areas.iter().map(|l| Target::Area(AreaTarget::new(l, &patterns)));
         let lamps = emitters.lamps.iter().map(Target::Lamp);
         let lights = areas.chain(lamps).chain(emitters.suns.iter().map(Target::Sun)).collect();
-        Self { sight: Sight { occluders: Occluders::new(rays.geometry), rays }, lights, patterns, settings }
+        let occluders = Occluders::new(rays.geometry, progress)?;
+        Ok(Self { sight: Sight { occluders, rays }, lights, patterns, settings })
     }
 
     /// Irradiance from every light at one receiver, by shadow rays to all points: the plain estimator that the

@@ -6,14 +6,20 @@
 use std::time::Duration;
 
 use glam::Vec3;
-use obvhs::{Boundable, BvhBuildParams, aabb::Aabb, bvh2::Bvh2, bvh2::builder::build_bvh2};
+use luxel_scene::{Cancelled, Progress, watched};
+use obvhs::{BvhBuildParams, aabb::Aabb, bvh2::Bvh2, bvh2::builder::build_bvh2};
 
 use super::{
     cone::Cone,
     shaft::Shaft,
     target::{Plane, Points},
 };
+use crate::aside::aside;
 use crate::geometry::Geometry;
+
+/// Triangles whose tree takes longer than a look can wait: obvhs needs about a microsecond for each, and nothing
+/// interrupts it.
+const LONG: usize = 1 << 15;
 
 /// Marks an occluder that is not simply solid: holes, veils, coloured glass.
 pub const VEIL: u32 = 1 << 31;
@@ -35,33 +41,30 @@ pub struct Occluders<'a> {
     order: Vec<u32>,
 }
 
-struct Item<'a>(&'a [Vec3; 3]);
-
-impl Boundable for Item<'_> {
-    fn aabb(&self) -> Aabb {
-        let [a, b, c] = *self.0;
-        Aabb::new(a.min(b).min(c).into(), a.max(b).max(c).into())
-    }
+fn boxed([a, b, c]: &[Vec3; 3]) -> Aabb {
+    Aabb::new(a.min(*b).min(*c).into(), a.max(*b).max(*c).into())
 }
 
 impl<'a> Occluders<'a> {
-    pub fn new(geometry: &'a Geometry<'a>) -> Self {
+    pub fn new(geometry: &'a Geometry<'a>, progress: &dyn Progress) -> Result<Self, Cancelled> {
         let mut ids = Vec::new();
-        for (i, t) in geometry.triangles.iter().enumerate() {
+        for item in watched(geometry.triangles.iter().enumerate(), progress) {
+            let (i, t) = item?;
             let material = geometry.material(i as u32);
             if !t.is_degenerate() && !material.unlit && geometry.scene.instances[t.instance as usize].casts {
                 ids.push(i as u32 | if material.is_opaque() { 0 } else { VEIL });
             }
         }
-        let items: Vec<_> = ids.iter().map(|&i| Item(&geometry.triangles[(i & !VEIL) as usize].corners)).collect();
-        let mut time = Duration::ZERO;
-        let bvh = if items.is_empty() {
+        let boxed = |i: &u32| boxed(&geometry.triangles[(i & !VEIL) as usize].corners);
+        let boxes = watched(&ids, progress).map(|i| Ok(boxed(i?))).collect::<Result<Vec<Aabb>, Cancelled>>()?;
+        let bvh = if boxes.is_empty() {
             Bvh2::default()
         } else {
-            build_bvh2(&items, BvhBuildParams::medium_build(), &mut time)
+            let build = move || build_bvh2(&boxes, BvhBuildParams::medium_build(), &mut Duration::default());
+            aside(ids.len() >= LONG, progress, build)?
         };
         let order = bvh.primitive_indices.iter().map(|&i| ids[i as usize]).collect();
-        Self { geometry, bvh, order }
+        Ok(Self { geometry, bvh, order })
     }
 
     /// Corners of an occluder.

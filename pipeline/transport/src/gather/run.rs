@@ -5,8 +5,11 @@ use rayon::prelude::*;
 
 use super::{Gathered, Receiver};
 
-/// Receivers between two looks at the progress: a few milliseconds of the slowest mode.
+/// Receivers that one thread takes at a time.
 const CHUNK: usize = 64;
+
+/// Receivers between two looks at the progress: a few milliseconds of the slowest mode.
+const BREATH: usize = 8;
 
 /// Applies `gather` to every receiver. Scratch memory belongs to the thread and never decides a value.
 pub(super) fn each<S>(
@@ -18,8 +21,10 @@ pub(super) fn each<S>(
     let mut out = vec![Gathered::default(); receivers.len()];
     let chunks = receivers.par_chunks(CHUNK).zip(out.par_chunks_mut(CHUNK));
     chunks.try_for_each_init(scratch, |scratch, (receivers, out)| {
-        progress.check()?;
-        for (receiver, out) in receivers.iter().zip(out) {
+        for (i, (receiver, out)) in receivers.iter().zip(out).enumerate() {
+            if i.is_multiple_of(BREATH) {
+                progress.check()?;
+            }
             *out = gather(scratch, receiver);
             debug_assert!(out.irradiance.is_finite() && out.irradiance.min_element() >= 0.0);
         }

@@ -10,10 +10,6 @@
 //! A subtree of n leaves has 2n − 1 nodes, so every subtree knows its place in the list of nodes beforehand: threads
 //! fill disjoint parts and the tree does not depend on their number.
 
-use std::sync::Arc;
-use std::sync::mpsc::{RecvTimeoutError, channel};
-use std::time::Duration;
-
 use glam::Vec3A;
 use luxel_scene::{Cancelled, Progress};
 use obvhs::{
@@ -21,6 +17,8 @@ use obvhs::{
     bvh2::{Bvh2, node::Bvh2Node},
     cwbvh::{CwBvh, bvh2_to_cwbvh::bvh2_to_cwbvh},
 };
+
+use crate::aside::aside;
 
 /// Levels that the traversal's stack has room for.
 const MAX_DEPTH: usize = 31;
@@ -37,8 +35,6 @@ const LOOK: usize = 512;
 /// Nodes whose conversion takes longer than a look can wait: nothing interrupts obvhs, and it takes 0.15 to 0.3 µs a
 /// triangle, for which there are two nodes.
 const LONG: usize = 1 << 18;
-/// Between two looks at the progress while somebody else converts.
-const WAIT: Duration = Duration::from_millis(20);
 
 /// A hierarchy over boxes that is never too deep to traverse.
 pub(super) fn build(boxes: &[Aabb], progress: &dyn Progress) -> Result<CwBvh, Cancelled> {
@@ -52,31 +48,9 @@ pub(super) fn build(boxes: &[Aabb], progress: &dyn Progress) -> Result<CwBvh, Ca
     converted(tree(boxes, 0, progress)?, LONG, progress)
 }
 
-/// The eight-wide tree of a binary one. A tree of at least `long` nodes is converted on a thread of its own, which is left
-/// to itself when the work is cancelled: it ends within a second for four million triangles, and nobody sees what it made.
+/// The eight-wide tree of a binary one; aside, where that has `long` nodes at least.
 fn converted(bvh: Bvh2, long: usize, progress: &dyn Progress) -> Result<CwBvh, Cancelled> {
-    progress.check()?;
-    if bvh.nodes.len() < long {
-        return Ok(convert(&bvh));
-    }
-    let bvh = Arc::new(bvh);
-    let (sender, receiver) = channel();
-    let work = {
-        let bvh = Arc::clone(&bvh);
-        // After a cancellation there is nobody to send it to.
-        move || drop(sender.send(convert(&bvh)))
-    };
-    if std::thread::Builder::new().name("luxel rays".into()).spawn(work).is_err() {
-        return Ok(convert(&bvh));
-    }
-    loop {
-        match receiver.recv_timeout(WAIT) {
-            Ok(wide) => return Ok(wide),
-            Err(RecvTimeoutError::Timeout) => progress.check()?,
-            // It has panicked; here the panic has somebody to tell.
-            Err(RecvTimeoutError::Disconnected) => return Ok(convert(&bvh)),
-        }
-    }
+    aside(bvh.nodes.len() >= long, progress, move || convert(&bvh))
 }
 
 fn convert(bvh: &Bvh2) -> CwBvh {
