@@ -146,15 +146,17 @@ fn a_killed_bake_leaves_whole_files_and_the_next_one_is_as_a_clean_one() {
     let mut whole = begin.elapsed();
     let mut random = Random::new(9);
     let mut phases: BTreeMap<String, u32> = BTreeMap::new();
-    let (mut side, mut kept) = (0, 0);
-    for round in 0..SPREAD + WRITING {
+    let (mut side, mut kept, mut kills, mut tries) = (0, 0, 0, 0);
+    while kills < SPREAD + WRITING {
+        tries += 1;
+        assert!(tries < 4 * (SPREAD + WRITING), "too few kills meet a bake: {phases:?}");
         let sides = Sides { old: right[side].clone(), new: right[1 - side].clone() };
         level(1 - side as u64).write(place.folder.path());
         fs::remove_dir_all(&store).unwrap();
         let mut bake = start(place.folder.path());
         let begin = Instant::now();
-        if round < SPREAD {
-            let share = (round as f64 + random.below(1000) as f64 / 1000.0) / SPREAD as f64;
+        if kills < SPREAD {
+            let share = (kills as f64 + random.below(1000) as f64 / 1000.0) / SPREAD as f64;
             // The parts of a bake are as long as the whole is, which the machine's other work decides.
             std::thread::sleep(whole.mul_f64(share).saturating_sub(begin.elapsed()));
         } else {
@@ -168,7 +170,10 @@ fn a_killed_bake_leaves_whole_files_and_the_next_one_is_as_a_clean_one() {
         let ended = bake.wait().unwrap();
         let is_over = over.is_some() || ended.success();
         if is_over {
-            whole = whole.mul_f64(0.97);
+            // Too late: another moment.
+            whole = whole.mul_f64(0.95);
+        } else {
+            kills += 1;
         }
         let changed = sides.are_whole(&out);
         *phases.entry(phase(&place, changed, is_over)).or_default() += 1;
@@ -180,14 +185,13 @@ fn a_killed_bake_leaves_whole_files_and_the_next_one_is_as_a_clean_one() {
             assert!(verified.bad.is_empty() && verified.outdated.is_empty(), "{verified:?}");
         }
         let next = run(&place.at(SCENE), &place.target());
-        assert!(next.files == sides.new.files, "round {round}");
+        assert!(next.files == sides.new.files, "after {kills} kills");
         assert_eq!(next.warnings("store"), [""; 0]);
         kept += u32::from(next.stage("surfels")["state"] == "reused");
         side = 1 - side;
     }
     println!("{phases:#?}\n{kept} next bakes found surfels of the killed one; a whole bake: {whole:?}");
-    let before: u32 = phases.iter().filter(|(phase, _)| !phase.starts_with('z')).map(|(_, n)| n).sum();
-    assert!(u64::from(before) > SPREAD && phases.len() > 5, "too few kills met a bake: {phases:?}");
+    assert!(phases.len() > 5, "the kills met too few phases: {phases:?}");
     left_is_harmless(&place);
 }
 
