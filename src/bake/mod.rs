@@ -4,6 +4,7 @@ mod artefact;
 mod atlas;
 mod cause;
 mod direct;
+mod draft;
 mod export;
 mod finish;
 mod foresee;
@@ -13,6 +14,7 @@ pub mod journal;
 mod keys;
 mod light;
 mod memory;
+mod outgoing;
 mod receivers;
 mod record;
 mod report;
@@ -25,8 +27,8 @@ use std::panic::AssertUnwindSafe;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-use luxel_atlas::{Atlas, AtlasReport, InProcess, Unwrapper, Worker};
-use luxel_export::{BoundMap, Lightmap, OutputSet, Report, report::Warning};
+use luxel_atlas::{Atlas, AtlasReport, InProcess, Worker};
+use luxel_export::{BoundMap, Effort, Lightmap, OutputSet, Report, report::Warning};
 use luxel_scene::{InputFile, Progress, Scene};
 use luxel_transport::geometry::Geometry;
 
@@ -34,11 +36,13 @@ use crate::Error;
 use crate::plan::{Plan, Stage};
 use crate::settings::{Resolved, Settings};
 use crate::store::{Store, StoreOptions};
+use finish::Seams;
 use groups::Lighting;
 use journal::Journal;
 use keys::Keys;
 use light::Parts;
 pub use light::TexelLight;
+use outgoing::Outgoing;
 use receivers::Receivers;
 pub(crate) use report::{json_form, versions};
 use tracer::Tracer;
@@ -95,6 +99,7 @@ enum Keep {
 }
 
 /// What every stage of a bake is told.
+#[derive(Clone, Copy)]
 struct Baking<'a> {
     settings: &'a Settings,
     plan: &'a Plan,
@@ -106,10 +111,25 @@ struct Baking<'a> {
 /// Bakes a scene file to files (the chain is shown in the crate's documentation). When it fails or is cancelled, the
 /// files of an earlier bake are untouched.
 pub fn bake(request: &Request, progress: &dyn Progress) -> Result<Baked, Error> {
-    with_threads(&request.settings.settings, || run(request, progress))
+    with_threads(&request.settings.settings, || run(request, progress, None))
 }
 
-fn run(request: &Request, progress: &dyn Progress) -> Result<Baked, Error> {
+/// The same, with a draft first where light has to be gathered at texels: the same files from the same unwrap, lit
+/// coarsely within a moment, and replaced when the bake ends. `drafted` is told when they are in place; what then fails
+/// or is cancelled leaves them there, and their report says what they are. The bake's own files are those of [`bake`].
+pub fn bake_drafted(
+    request: &Request,
+    progress: &dyn Progress,
+    drafted: &mut (dyn FnMut(Baked) + Send),
+) -> Result<Baked, Error> {
+    with_threads(&request.settings.settings, || run(request, progress, Some(drafted)))
+}
+
+fn run(
+    request: &Request,
+    progress: &dyn Progress,
+    drafted: Option<&mut (dyn FnMut(Baked) + Send)>,
+) -> Result<Baked, Error> {
     let start = Instant::now();
     let settings = &request.settings.settings;
     let mut journal = Journal::new(progress);
@@ -131,23 +151,30 @@ fn run(request: &Request, progress: &dyn Progress) -> Result<Baked, Error> {
     let store = request.store.open(request.outputs.folder());
     let baking = Baking { settings, plan: &plan, lighting: &lighting, keys: &keys, store: Some(&store) };
     let tracer = Tracer::new(&geometry);
-    let lit = match &request.worker {
-        Some(path) => light(&baking, &tracer, &worker(path), Keep::Images, &mut journal)?,
-        None => light(&baking, &tracer, &InProcess, Keep::Images, &mut journal)?,
+    let (mut atlas, mut atlas_report) = match &request.worker {
+        Some(path) => atlas::run(&baking, &scene, &worker(path), &mut journal)?,
+        None => atlas::run(&baking, &scene, &InProcess, &mut journal)?,
     };
+    let outgoing = Outgoing { request, tracer: &tracer, original: &original, inputs: &inputs, key, start };
+    let mut besides = 0.0;
+    if let Some(drafted) = drafted.filter(|_| foresee::gathers(&plan, &store, &lighting, &keys)) {
+        let begun = start.elapsed();
+        let baked;
+        (baked, atlas, atlas_report) = draft::bake(&outgoing, &baking, (atlas, atlas_report), &mut journal)?;
+        drafted(baked);
+        besides = (start.elapsed() - begun).as_secs_f64();
+    }
+    let lit = light(&baking, &tracer, (atlas, atlas_report), Keep::Images, &mut journal)?;
     let picture = export::preview(&baking, &tracer, &lit, &mut journal)?;
-    drop(tracer);
-    let mut report = report::start(&scene, &inputs, &plan, &request.settings, &keys.parts);
-    let glb = export::glb(request, &original, &scene, &plan, &lit, &mut report, &mut journal)?;
-    let warnings = store.take_notes();
-    report::fill(&mut report, &scene, &baking, &lit, warnings, journal, start.elapsed().as_secs_f64());
-    // From here on the old files are replaced.
-    progress.check()?;
+    let figures = (store.take_notes(), start.elapsed().as_secs_f64() - besides);
+    let (report, glb) = outgoing.encoded(&baking, &lit, Effort::Small, figures, journal)?;
     // Beside the encoders lives what they read.
     let Lit { lightmaps, bounds, .. } = lit;
-    let files = export::write(&request.outputs, (&lightmaps, &bounds), picture.as_deref(), &glb, &key, &mut report)?;
+    let mut baked =
+        outgoing.written(report, (&lightmaps, &bounds), picture.as_deref(), &glb, Effort::Small, progress)?;
     store.evict();
-    Ok(Baked { report, files, inputs: inputs.read, seconds: start.elapsed().as_secs_f64() })
+    baked.seconds -= besides;
+    Ok(baked)
 }
 
 /// Whether the result depends on the setting of this name: the number of threads changes no byte.
@@ -164,7 +191,9 @@ pub fn bake_scene(scene: &Scene, settings: &Settings, progress: &dyn Progress) -
         let keys = Keys::new(&scene, &lighting, settings, &plan);
         let geometry = Geometry::new(&scene);
         let baking = Baking { settings, plan: &plan, lighting: &lighting, keys: &keys, store: None };
-        light(&baking, &Tracer::new(&geometry), &InProcess, Keep::Texels, &mut Journal::new(progress))
+        let mut journal = Journal::new(progress);
+        let laid_out = atlas::run(&baking, &scene, &InProcess, &mut journal)?;
+        light(&baking, &Tracer::new(&geometry), laid_out, Keep::Texels, &mut journal)
     })
 }
 
@@ -197,16 +226,15 @@ pub fn plan_file(
     })
 }
 
-/// The middle of the chain: from the scene to finished images.
+/// The middle of the chain: from the atlas to finished images.
 fn light(
     baking: &Baking,
     tracer: &Tracer,
-    unwrapper: &dyn Unwrapper,
+    (atlas, atlas_report): (Atlas, AtlasReport),
     keep: Keep,
     journal: &mut Journal,
 ) -> Result<Lit, Error> {
     let scene = tracer.geometry.scene;
-    let (atlas, atlas_report) = atlas::run(baking, scene, unwrapper, journal)?;
     if let Some(finished) = finish::stored(baking, &atlas, journal) {
         return Ok(finished.lit(atlas, atlas_report));
     }
@@ -216,7 +244,7 @@ fn light(
             Keep::Texels => Cow::Borrowed(&texels),
             Keep::Images => Cow::Owned(std::mem::take(&mut texels)),
         };
-        finish::run(baking, scene, &atlas, light, (&sums, &facts), journal)?
+        finish::run(baking, scene, &atlas, light, (&sums, &facts), Seams::Stitched, journal)?
     };
     Ok(Lit { atlas, atlas_report, texels, lightmaps, bounds, sums, transport: facts })
 }

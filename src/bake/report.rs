@@ -46,7 +46,8 @@ pub fn start(
 
 /// The versions of everything that decides a result.
 pub fn versions() -> BTreeMap<String, String> {
-    let own = [("luxel", env!("CARGO_PKG_VERSION").into()), ("octree file", Kind::Solution.format().version.to_string())];
+    let own =
+        [("luxel", env!("CARGO_PKG_VERSION").into()), ("octree file", Kind::Solution.format().version.to_string())];
     let stages = Stage::ALL.iter().map(|stage| (stage.name(), stage.version().to_string()));
     own.into_iter().chain(stages).map(|(name, version)| (name.into(), version)).collect()
 }

@@ -1,11 +1,13 @@
 //! The goals by number, in one run: what was measured beside what must be and what is aimed at.
 //!
 //! `cargo bench --bench goals` prints the whole table, `-- quick` leaves out the bakes (the rows on errors, texels and
-//! whole bakes). Rates of one thread are taken from that thread's processor time, so that they do not depend on what
+//! whole bakes and on edits), and `-- edits` is what edits of a scene cost beside its bake, by the wall clock, and
+//! nothing else; `--size 256` makes its lightmap smaller. Rates of one thread are taken from that thread's processor time, so that they do not depend on what
 //! else the machine does (but for shared caches and processors that share a core); only the comparison of two
 //! threads with one needs the wall clock and two idle processors. Ratios compare work that was timed in turns.
 
 mod bakes;
+mod edits;
 mod heap;
 mod meter;
 mod rates;
@@ -47,11 +49,17 @@ pub fn row(what: &str, value: f64, unit: &str, goal: Goal) {
 }
 
 fn main() {
-    let quick = std::env::args().any(|a| a == "quick");
+    let args: Vec<String> = std::env::args().collect();
+    let (quick, edits) = (args.iter().any(|a| a == "quick"), args.iter().any(|a| a == "edits"));
+    let size = args.iter().skip_while(|a| *a != "--size").nth(1).map_or(1024, |a| a.parse().expect("a size"));
     println!("{:<58} {:>9} {:<9} {:>8} {:>7} {:>8}", "what", "value", "unit", "must", "aim", "met");
+    if edits {
+        return edits::measure(size);
+    }
     rates::measure();
     bakes::start_up();
     if !quick {
         bakes::measure();
+        edits::measure(size);
     }
 }

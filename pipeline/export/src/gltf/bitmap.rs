@@ -4,11 +4,11 @@
 //! with the odds of their fraction, by a threshold that differs from texel to texel: right on average, and the grain is
 //! much finer than bands. Whole steps, 0 among them, stay what they are.
 
-use crate::{ExportError, Image8, Lightmap, encode_png};
+use crate::{Effort, ExportError, Image8, Lightmap, encode_png};
 
 /// A page as a PNG. One byte is E / `intensity` (lux) within one step, intensity / 255; what is brighter is clipped.
 /// Nothing is gamma-encoded.
-pub fn png(map: &Lightmap, intensity: f32) -> Result<Vec<u8>, ExportError> {
+pub fn png(map: &Lightmap, intensity: f32, effort: Effort) -> Result<Vec<u8>, ExportError> {
     let byte = |e: f32, threshold: f64| (f64::from(e) / f64::from(intensity) * 255.0 + threshold) as u8;
     let places = (0..map.height()).flat_map(|y| (0..map.width()).map(move |x| (x, y)));
     let texel = |(e, (x, y)): (&glam::Vec3, (u32, u32))| {
@@ -18,7 +18,7 @@ pub fn png(map: &Lightmap, intensity: f32) -> Result<Vec<u8>, ExportError> {
     };
     let mut texels = Vec::with_capacity(map.irradiance().len());
     texels.extend(map.irradiance().iter().zip(places).map(texel));
-    encode_png(&Image8 { width: map.width(), height: map.height(), texels })
+    encode_png(&Image8 { width: map.width(), height: map.height(), texels }, effort)
 }
 
 /// Interleaved gradient noise (Jimenez 2014, "Next generation post processing in Call of Duty: Advanced Warfare"): any
@@ -41,7 +41,7 @@ mod tests {
     fn a_furnace_is_exact() {
         let pi = std::f32::consts::PI;
         let map = Lightmap::new(4, 4, vec![Vec3::splat(pi); 16], vec![1.0; 16]).unwrap();
-        assert!(decoded(&png(&map, pi).unwrap(), pi).iter().all(|e| *e == pi));
+        assert!(decoded(&png(&map, pi, Effort::Small).unwrap(), pi).iter().all(|e| *e == pi));
     }
 
     #[test]
@@ -50,7 +50,7 @@ mod tests {
             let (step, n) = (100.0 / 255.0, 64);
             let e = Vec3::new(part, 2.0 + part, 0.0) * step;
             let map = Lightmap::new(n, n, vec![e; (n * n) as usize], vec![1.0; (n * n) as usize]).unwrap();
-            let found = decoded(&png(&map, 100.0).unwrap(), 100.0);
+            let found = decoded(&png(&map, 100.0, Effort::Small).unwrap(), 100.0);
             for band in 0..3 {
                 let mean = found.iter().skip(band).step_by(3).sum::<f32>() / (n * n) as f32;
                 assert!((mean - e[band]).abs() < 0.02 * step, "{part}: {mean} {}", e[band]);
@@ -64,7 +64,7 @@ mod tests {
         let map = Lightmap::new(20, 20, e.clone(), vec![1.0; 400]).unwrap();
         let flat: Vec<f32> = e.iter().flat_map(|e| e.to_array()).collect();
         for intensity in [399.0, 100.0] {
-            for (d, e) in decoded(&png(&map, intensity).unwrap(), intensity).iter().zip(&flat) {
+            for (d, e) in decoded(&png(&map, intensity, Effort::Small).unwrap(), intensity).iter().zip(&flat) {
                 assert!((d - e.min(intensity)).abs() <= intensity / 254.0, "{d} {e}");
             }
         }
@@ -75,7 +75,9 @@ mod tests {
         for e in [0.0, 1e-44, f32::MIN_POSITIVE, f32::MAX] {
             let map = Lightmap::new(1, 1, vec![Vec3::splat(e)], vec![1.0]).unwrap();
             for intensity in [f32::MIN_POSITIVE, 1.0, f32::MAX] {
-                assert!(decoded(&png(&map, intensity).unwrap(), intensity).iter().all(|d| d.is_finite()));
+                assert!(
+                    decoded(&png(&map, intensity, Effort::Small).unwrap(), intensity).iter().all(|d| d.is_finite())
+                );
             }
         }
     }
