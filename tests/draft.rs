@@ -75,31 +75,37 @@ impl Level {
     }
 }
 
-/// Places all over the surfaces, and the light of both bakes of one scene there.
-fn places(a: &Outputs, b: &Outputs) -> Vec<(DVec3, Vec3, Vec3)> {
+/// A place on a surface, and how much of it that stands for.
+struct Place {
+    at: DVec3,
+    area: f64,
+    /// Light of both bakes there, over the bands.
+    light: [f64; 2],
+}
+
+/// Places all over the surfaces of a scene that was baked twice.
+fn places(a: &Outputs, b: &Outputs) -> Vec<Place> {
     let geometry = Geometry::new(&a.scene);
     let mut places = Vec::new();
     let side = 48u32;
     for t in &geometry.triangles {
         for (i, j) in (0..side).flat_map(|i| (0..side - i).map(move |j| (i, j))) {
             let [u, v] = [i, j].map(|k| (k as f32 + 0.33) / side as f32);
-            let light = |o: &Outputs| o.at(t.instance as usize, t.index as usize, u, v);
+            let light = |o: &Outputs| Some(f64::from(o.at(t.instance as usize, t.index as usize, u, v)?.element_sum()));
             if let (Some(a), Some(b)) = (light(a), light(b)) {
-                places.push((geometry.frame.world(t.at(u, v)), a, b));
+                places.push(Place { at: geometry.frame.world(t.at(u, v)), area: t.area().into(), light: [a, b] });
             }
         }
     }
     places
 }
 
-/// Mean light of both over some places.
-fn means(places: &[(DVec3, Vec3, Vec3)], region: impl Fn(DVec3) -> bool) -> [f64; 2] {
-    let some: Vec<_> = places.iter().filter(|(p, ..)| region(*p)).collect();
+/// Mean light of both over a region, by area.
+fn means(places: &[Place], region: impl Fn(DVec3) -> bool) -> [f64; 2] {
+    let some: Vec<_> = places.iter().filter(|place| region(place.at)).collect();
     assert!(some.len() > 100, "{}", some.len());
-    let mean = |of: fn(&(DVec3, Vec3, Vec3)) -> Vec3| {
-        some.iter().map(|place| f64::from(of(place).element_sum())).sum::<f64>() / some.len() as f64
-    };
-    [mean(|p| p.1), mean(|p| p.2)]
+    let area: f64 = some.iter().map(|place| place.area).sum();
+    [0, 1].map(|bake| some.iter().map(|place| place.area * place.light[bake]).sum::<f64>() / area)
 }
 
 fn assert_alike(what: &str, [draft, baked]: [f64; 2], most: f64) {
@@ -123,7 +129,7 @@ fn a_draft_comes_first_and_the_bake_is_that_of_a_clean_folder() {
     assert!((1000..16_000).contains(&nodes) && draft.report["counters"]["texels"].as_u64().unwrap() > 3 * nodes);
     let places = places(&draft, &baked);
     assert_alike("Cornell", means(&places, |_| true), 0.05);
-    let dark = places.iter().filter(|(_, draft, baked)| draft.element_sum() < 0.1 * baked.element_sum()).count();
+    let dark = places.iter().filter(|place| place.light[0] < 0.1 * place.light[1]).count();
     assert!(dark * 200 < places.len(), "{dark} of {} places are far too dark", places.len());
     // Now all is stored.
     std::fs::remove_file(level.request.outputs.report()).unwrap();

@@ -332,3 +332,81 @@ fn consider(list: &mut Candidates, texel: u32, [x, y]: [u32; 2], stride: u32) {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::Vec3;
+    use luxel_atlas::{Atlas, AtlasSettings, InProcess, build};
+    use luxel_scene::{Scene, Silent, build::Builder};
+    use luxel_transport::geometry::Geometry;
+
+    /// A floor of 2 × 1, with a wall across it at x = 1 or without one.
+    fn floor(wall: bool) -> Scene {
+        let mut b = Builder::new("floor");
+        let grey = b.matte(Vec3::splat(0.5));
+        b.quad("floor", Vec3::ZERO, Vec3::Z, Vec3::X * 2.0, grey);
+        if wall {
+            let wall = b.cuboid("wall", Vec3::new(0.99, 0.0, -0.1), Vec3::new(1.01, 1.0, 1.1), grey, false);
+            b.scene_mut().instances[wall].receives = false;
+        }
+        b.build()
+    }
+
+    fn atlas(scene: &Scene, size: u32) -> Atlas {
+        build(scene, &AtlasSettings { size, ..AtlasSettings::default() }, &InProcess, &Silent).unwrap().0
+    }
+
+    /// Light at all open texels with their places, from that at the nodes.
+    fn spread(scene: &Scene, size: u32, light: impl Fn(Vec3) -> f32) -> (Nodes, Vec<(Vec3, f32)>) {
+        let (geometry, atlas) = (Geometry::new(scene), atlas(scene, size));
+        let (rays, side) = (Rays::new(&geometry), Side::front(&geometry, &atlas));
+        let nodes = Nodes::new(&side, false, &rays, &Silent).unwrap();
+        let place = |receiver: &Receiver| geometry.frame.world(receiver.position).as_vec3();
+        let at_nodes: Vec<Rgb> = nodes.receivers.iter().map(|r| Rgb::splat(light(place(r)))).collect();
+        let found = nodes.spread(&side, &at_nodes);
+        assert_eq!(found.len(), side.len());
+        let open = (0..side.len()).filter(|i| !nodes.buried[*i]);
+        let texels = open.map(|i| (place(&side.receiver(i)), found[i].x)).collect();
+        (nodes, texels)
+    }
+
+    #[test]
+    fn a_small_map_is_gathered_at_every_texel() {
+        let slope = |p: Vec3| 1.0 + p.x + 3.0 * p.z;
+        let (nodes, texels) = spread(&floor(false), 64, slope);
+        assert_eq!(nodes.receivers.len(), texels.len());
+        assert!(texels.iter().all(|(p, e)| (e - slope(*p)).abs() < 1e-3));
+    }
+
+    #[test]
+    fn a_large_one_keeps_to_its_nodes_and_to_the_light() {
+        let even = spread(&floor(false), 512, |_| 7.0);
+        assert!(even.1.iter().all(|(_, e)| (e - 7.0).abs() < 1e-5));
+        assert!((MOST / 2..=MOST).contains(&even.0.receivers.len()), "{}", even.0.receivers.len());
+        let slope = |p: Vec3| 1.0 + p.x + 3.0 * p.z;
+        let (nodes, texels) = spread(&floor(false), 512, slope);
+        // Nobody takes light from further away than a cell is wide.
+        let cell = nodes.charts[0].stride as f32 * (2.0 / texels.len() as f32).sqrt();
+        let worst = texels.iter().map(|(p, e)| (e - slope(*p)).abs()).fold(0.0, f32::max);
+        assert!(worst < 4.0 * cell, "{worst} of {cell}");
+        let mean = texels.iter().map(|(p, e)| f64::from(e - slope(*p))).sum::<f64>() / texels.len() as f64;
+        assert!(mean.abs() < 0.02 * f64::from(cell), "{mean} of {cell}");
+    }
+
+    #[test]
+    fn no_light_goes_through_a_wall_that_stands_on_the_floor() {
+        let (nodes, texels) = spread(&floor(true), 512, |p| if p.x < 1.0 { 5.0 } else { 0.0 });
+        let cell = nodes.charts[0].stride as f32 * (2.0 / texels.len() as f32).sqrt();
+        let beyond: Vec<_> = texels.iter().filter(|(p, _)| p.x > 1.01 + cell).collect();
+        assert!(beyond.len() > 1000 && beyond.iter().all(|(_, e)| *e == 0.0));
+        let before: Vec<_> = texels.iter().filter(|(p, _)| p.x < 0.99 - cell).collect();
+        assert!(before.len() > 1000 && before.iter().all(|(_, e)| (*e - 5.0).abs() < 1e-5));
+    }
+
+    #[test]
+    fn cells_grow_by_halves() {
+        assert_eq!((0..9).map(side_of).collect::<Vec<_>>(), [1, 2, 3, 4, 6, 8, 12, 16, 24]);
+        assert!(side_of(31) > 1 << 15);
+    }
+}
