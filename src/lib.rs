@@ -36,5 +36,5 @@ pub mod settings;
 pub mod store;
 pub mod watch;
 
-pub use bake::{Baked, Lit, Request, bake, bake_scene, export, plan_file};
+pub use bake::{Baked, Lit, Request, bake, bake_drafted, bake_scene, export, plan_file};
 pub use error::Error;

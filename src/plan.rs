@@ -77,8 +77,8 @@ impl Stage {
     pub fn version(self) -> u32 {
         match self {
             Self::Propagate => 4,
-            Self::Surfels | Self::Shoot | Self::Direct | Self::Gather | Self::Finish | Self::Export => 3,
-            Self::Unwrap | Self::Refresh | Self::Sky | Self::Preview => 2,
+            Self::Unwrap | Self::Surfels | Self::Shoot | Self::Direct | Self::Gather | Self::Finish | Self::Export => 3,
+            Self::Refresh | Self::Sky | Self::Preview => 2,
             Self::Import | Self::Rays | Self::Cache | Self::Clear => 1,
         }
     }
@@ -155,17 +155,16 @@ pub struct Plan {
 impl Plan {
     pub fn new(scene: &Scene, settings: &Settings) -> Self {
         let facts = Facts::new(scene);
-        let steps: Vec<Step> = Stage::ALL
-            .into_iter()
-            .map(|stage| match decide(stage, &facts, settings) {
-                Ok(reason) => Step { stage, runs: true, reused: false, reason },
-                Err(reason) => Step { stage, runs: false, reused: false, reason },
-            })
-            .collect();
+        let steps = steps(&facts, settings);
         let runs = |stage| steps.iter().any(|s| s.stage == stage && s.runs);
         let memory = memory(&facts, scene, settings, &runs);
         let warnings = scene.notices.iter().map(Warning::from).collect();
         Self { facts, light_groups: Vec::new(), steps, memory, warnings }
+    }
+
+    /// The plan of the same scene with settings that take no more memory.
+    pub fn with(&self, settings: &Settings) -> Self {
+        Self { steps: steps(&self.facts, settings), ..self.clone() }
     }
 
     pub fn runs(&self, stage: Stage) -> bool {
@@ -192,6 +191,13 @@ impl Plan {
             texels: self.memory.texels.min(texel_bytes(pixels, settings, &|stage| self.runs(stage))),
             images: self.memory.images.min(image_bytes(pixels)),
             ..self.memory
+        }
+    }
+
+    /// Leaves out a stage that the scene would need.
+    pub fn leave_out(&mut self, stage: Stage, reason: &str) {
+        for step in self.steps.iter_mut().filter(|s| s.stage == stage) {
+            (step.runs, step.reason) = (false, reason.into());
         }
     }
 
@@ -304,6 +310,15 @@ fn is_grey(scene: &Scene, used: &[bool]) -> bool {
                 && texture(&m.base_color_texture)
                 && texture(&m.emissive_texture)
         })
+}
+
+/// The decision about every stage.
+fn steps(facts: &Facts, settings: &Settings) -> Vec<Step> {
+    let step = |stage| match decide(stage, facts, settings) {
+        Ok(reason) => Step { stage, runs: true, reused: false, reason },
+        Err(reason) => Step { stage, runs: false, reused: false, reason },
+    };
+    Stage::ALL.into_iter().map(step).collect()
 }
 
 /// `Ok(what it does)`, or `Err(why it is left out)`.

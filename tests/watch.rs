@@ -171,6 +171,24 @@ fn what_is_changed_back_during_a_bake_is_not_baked_again() {
 }
 
 #[test]
+fn what_is_changed_back_when_a_draft_lies_there_is_baked_again() {
+    let mut bench = Bench::new(&["."], None, |folder| furnish(folder, "a"));
+    bench.draft();
+    bench.shut(true);
+    std::fs::write(bench.at("a.bin"), corners(1)).unwrap();
+    bench.wait("drafted", |e| matches!(e, Event::Drafted { .. }));
+    bench.held();
+    std::fs::write(bench.at("a.bin"), corners(0)).unwrap();
+    bench.wait("overtaken", |e| matches!(e, Event::Overtaken { .. }));
+    bench.shut(false);
+    bench.baked("a.gltf");
+    bench.settle("a.bin");
+    assert_eq!(bench.bakes(), 2, "with the first one");
+    bench.assert_current("a.gltf");
+    bench.end();
+}
+
+#[test]
 fn one_scene_leaves_the_others_and_what_changed_last_comes_first() {
     let names = ["a", "b/c", "b/d"];
     let mut bench = Bench::new(&["."], None, |folder| names.iter().for_each(|n| furnish(folder, n)));
@@ -430,6 +448,29 @@ fn a_scene_that_is_broken_at_the_start_and_then_what_was_baked_is_current() {
     bench.end();
 }
 
+#[cfg(unix)]
+#[test]
+fn the_tool_writes_a_draft_first_and_says_so_when_it_is_killed() {
+    let folder = tool::folder(&["cornell.glb"]);
+    let mut tool = Tool::new(folder.path(), &["."]);
+    let draft = tool.wait("drafted");
+    assert_eq!((draft["scene"].as_str(), draft["outputs"].as_array().unwrap().len()), (Some("./cornell.glb"), 3));
+    assert_eq!(tool.wait("baked")["outputs"].as_array().unwrap().len(), 4);
+    tool.wait("idle");
+    // A bake that would take minutes.
+    std::fs::write(folder.path().join("luxel.toml"), "refresh = 100000").unwrap();
+    tool.wait("drafted");
+    tool.signal("-KILL");
+    drop(tool);
+    assert_eq!(tool::Outputs::read(&folder.path().join("baked"), "cornell").report["draft"], true);
+    let said = tool::quick(&["bake", "cornell.glb", "--check"], folder.path()).ended(3);
+    assert!(said.stderr.contains("stale: its outputs are a draft"), "{}", said.stderr);
+    // Another luxel bakes over it.
+    std::fs::remove_file(folder.path().join("luxel.toml")).unwrap();
+    tool::quick(&["bake", "cornell.glb"], folder.path()).ended(0);
+    tool::quick(&["bake", "cornell.glb", "--check"], folder.path()).ended(0);
+}
+
 /// Names of all files, hidden ones too, that no scene and no bake has.
 fn litter(folder: &Path) -> Vec<String> {
     let mut found = Vec::new();
@@ -449,7 +490,7 @@ fn litter(folder: &Path) -> Vec<String> {
 fn the_tool_bakes_what_is_saved_and_ends_cleanly_in_the_middle_of_a_bake() {
     for signal in ["-INT", "-TERM"] {
         let folder = tool::folder(&["cornell.glb"]);
-        let mut tool = Tool::new(folder.path(), &["."]);
+        let mut tool = Tool::new(folder.path(), &[".", "--no-draft"]);
         assert_eq!(tool.wait("watching")["scenes"], 1);
         let first = tool.wait("baked");
         assert_eq!((first["scene"].as_str(), first["outputs"].as_array().unwrap().len()), (Some("./cornell.glb"), 4));

@@ -51,5 +51,6 @@ fn last(outputs: &OutputSet) -> Option<Report> {
     let mut bytes = Vec::new();
     File::open(path).ok()?.take(LONGEST).read_to_end(&mut bytes).ok()?;
     let report: Report = serde_json::from_slice(&bytes).ok()?;
-    (!report.parts.is_empty()).then_some(report)
+    // A draft is of the scene as it is now, most likely: what has changed is not to be learnt from it.
+    (!report.parts.is_empty() && !report.draft).then_some(report)
 }

@@ -7,7 +7,7 @@
 
 use luxel_scene::{Cancelled, Progress};
 use luxel_transport::{
-    direct::{Direct, DirectSettings},
+    direct::{Direct, DirectSettings, Visibility},
     gather::{Field, Gather, Gathered, Lightcuts, Receiver, lightcuts},
     geometry::Geometry,
     lights::Emitters,
@@ -54,7 +54,30 @@ pub fn with<T>(
     progress: &dyn Progress,
     work: impl FnOnce(&dyn Gather) -> Result<T, Error>,
 ) -> Result<T, Error> {
-    let how = DirectSettings { samples: settings.shadow_samples.0, ..DirectSettings::default() };
+    seen(rays, emitters, settings, Visibility::Shafts, progress, work)
+}
+
+/// The same for receivers that are far apart, so that no two of them share what stands between them and a light: a
+/// shadow ray to each of its points is quicker then.
+pub fn with_few<T>(
+    rays: &Rays,
+    emitters: &Emitters,
+    settings: &Settings,
+    progress: &dyn Progress,
+    work: impl FnOnce(&dyn Gather) -> Result<T, Error>,
+) -> Result<T, Error> {
+    seen(rays, emitters, settings, Visibility::Rays, progress, work)
+}
+
+fn seen<T>(
+    rays: &Rays,
+    emitters: &Emitters,
+    settings: &Settings,
+    visibility: Visibility,
+    progress: &dyn Progress,
+    work: impl FnOnce(&dyn Gather) -> Result<T, Error>,
+) -> Result<T, Error> {
+    let how = DirectSettings { samples: settings.shadow_samples.0, visibility, ..DirectSettings::default() };
     if !is_crowded(rays.geometry, emitters) {
         return work(&Direct::build(rays, emitters, how, progress)?);
     }

@@ -3,8 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use luxel_export::{
-    BoundMap, Depth, Files, Lightmap, Original, OutputSet, Report, ToneMap, encode_png_with, report::Warning,
-    sample_lightmap,
+    Effort, Files, Original, OutputSet, Report, ToneMap, encode_png_with, report::Warning, sample_lightmap,
 };
 use luxel_scene::{Progress, Scene};
 use luxel_transport::Rgb;
@@ -33,7 +32,7 @@ pub fn preview(baking: &Baking, tracer: &Tracer, lit: &Lit, journal: &mut Journa
         counters.insert("pixels".into(), picture.radiance.len() as u64);
         let tone = ToneMap::auto(&picture.radiance, progress)?;
         let picture = tone.picture(picture.width, picture.height, &picture.radiance, progress)?;
-        Ok(encode_png_with(&picture, progress)?)
+        Ok(encode_png_with(&picture, Effort::Small, progress)?)
     })?;
     Ok(png)
 }
@@ -50,16 +49,16 @@ fn at(lit: &Lit, instance: u32, triangle: u32, u: f32, v: f32) -> Option<Rgb> {
 /// The scene with its lightmap, over the file as it was.
 pub fn glb(
     request: &Request,
-    original: &Original,
-    scene: &Scene,
+    (original, scene): (&Original, &Scene),
     plan: &Plan,
     lit: &Lit,
+    effort: Effort,
     report: &mut Report,
     journal: &mut Journal,
 ) -> Result<Vec<u8>, Error> {
     journal.always(Stage::Export, plan.reason(Stage::Export), Some(0), |progress, counters| {
         let names = request.outputs.lightmap_names(lit.lightmaps.len());
-        let glb = original.lightmapped(scene, &lit.atlas, &lit.lightmaps, &names, progress)?;
+        let glb = original.lightmapped(scene, &lit.atlas, &lit.lightmaps, &names, effort, progress)?;
         report.warnings.extend(glb.notices.iter().map(Warning::from));
         let clipped: usize = glb.pages.iter().map(|p| p.clipped).sum();
         counters.insert("bytes".into(), glb.bytes.len() as u64);
@@ -86,16 +85,11 @@ pub fn can_write(folder: &Path) -> std::io::Result<()> {
 /// Writes all files; returns them in the order of writing.
 pub fn write(
     outputs: &OutputSet,
-    (lightmaps, bounds): (&[Lightmap], &[BoundMap]),
-    picture: Option<&[u8]>,
-    glb: &[u8],
-    key: &[u8; 32],
+    files: &Files,
     report: &mut Report,
     progress: &dyn Progress,
 ) -> Result<Vec<PathBuf>, Error> {
-    let key = blake3::Hash::from(*key).to_hex();
-    let files = Files { lightmaps, bounds, depth: Depth::Float, key: &key, preview_png: picture, glb };
-    outputs.write(&files, report, progress)?;
+    outputs.write(files, report, progress)?;
     let listed = report.outputs.iter().map(|o| outputs.folder().join(&o.path));
     Ok(listed.chain([outputs.report()]).collect())
 }

@@ -91,6 +91,13 @@ pub fn stored(baking: &Baking, atlas: &Atlas, journal: &mut Journal) -> Option<F
     Some(finished)
 }
 
+/// How much is done about seams: a draft shows them anyway.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub enum Seams {
+    Stitched,
+    Left,
+}
+
 /// Makes the images, one lightmap per page, and one map of stated bounds where the settings ask for it and the gather
 /// states one.
 pub fn run(
@@ -99,11 +106,12 @@ pub fn run(
     atlas: &Atlas,
     light: Cow<TexelLight>,
     (sums, facts): (&Sums, &Facts),
+    seams: Seams,
     journal: &mut Journal,
 ) -> Result<(Vec<Lightmap>, Vec<BoundMap>), Error> {
     let Baking { settings, plan, .. } = baking;
     let images = journal.run(plan, Stage::Finish, Some(STEPS), |progress, counters| {
-        let (lightmaps, bounds, report) = images(scene, atlas, light, settings, plan, progress)?;
+        let (lightmaps, bounds, report) = images(scene, atlas, light, (settings, seams), plan, progress)?;
         counters.insert("filled_texels".into(), report.filled.into());
         counters.insert("lost_texels".into(), report.lost.into());
         counters.insert("seam_samples".into(), report.seam_samples.into());
@@ -164,7 +172,7 @@ fn images(
     scene: &Scene,
     atlas: &Atlas,
     light: Cow<TexelLight>,
-    settings: &Settings,
+    (settings, seams): (&Settings, Seams),
     plan: &Plan,
     progress: &dyn Progress,
 ) -> Result<(Vec<Lightmap>, Vec<BoundMap>, FinishReport), Error> {
@@ -174,7 +182,7 @@ fn images(
             (Cow::Borrowed(&l.irradiance[..]), Cow::Borrowed(&l.bound[..]), Cow::Borrowed(&l.buried[..]))
         }
     };
-    let how = FinishSettings { padding: settings.padding.0, ..FinishSettings::default() };
+    let how = FinishSettings { padding: settings.padding.0, stitch: seams == Seams::Stitched };
     let mut bounds = Vec::new();
     // What states no bound, be it the mode or because nothing was gathered, must not seem to state that its error is
     // nothing. Its images are the smaller ones, so they are made before the others take their place.

@@ -38,6 +38,21 @@ pub fn mark(plan: &mut Plan, store: &Store, scene: &Scene, lighting: &Lighting, 
     }
 }
 
+/// Whether light would have to be gathered at texels, which is what takes long.
+pub fn gathers(plan: &Plan, store: &Store, lighting: &Lighting, keys: &Keys) -> bool {
+    let run = Run::new(plan, store, lighting, keys);
+    let sky = run.sky && plan.runs(Stage::Sky);
+    plan.runs(Stage::Clear) && !lighting.groups.is_empty() && (run.clear || run.direct || sky || run.gather)
+}
+
+/// All light of a group at texels is stored, and where these are.
+pub fn is_stored(plan: &Plan, store: &Store, (group, own): (&Group, &GroupKeys), keys: &Keys) -> bool {
+    let mut run = Run { clear: !store.has(Kind::Clear, &keys.clear), ..Run::default() };
+    run.sky = group.sky.is_some() && plan.runs(Stage::Sky) && !store.has(Kind::Sky, &keys.sky);
+    run.group(plan, store, group, own, keys);
+    !(run.clear || run.direct || run.sky || run.gather)
+}
+
 /// Which stages would run, for one light group at least.
 #[derive(Default)]
 struct Run {

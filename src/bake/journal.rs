@@ -17,6 +17,7 @@ const LARGEST: [&str; 3] = ["surfels", "longest_cut", "closed"];
 
 /// Runs stages as the plan says and writes down what happened. A stage may run several times, once for each light
 /// group, and be reused in between; it is one entry all the same.
+#[derive(Clone)]
 pub struct Journal<'a> {
     pub progress: &'a dyn Progress,
     pub entries: Vec<Entry>,

@@ -1,7 +1,7 @@
 //! Keys of artefacts: the digest of exactly what a stage reads.
 //!
 //! ```text
-//! layout    ← meshes and places of what receives, names, size, density, padding
+//! layout    ← meshes of what receives with their sizes in the world, names, size, density, padding
 //! clear     ← layout, shape
 //! surfels   ← shape, matter, voxels, area
 //! shoot_g   ← surfels, lights of g, shadow samples, photons
@@ -21,7 +21,7 @@
 
 use std::collections::BTreeMap;
 
-use glam::{DAffine3, Vec3};
+use glam::{DAffine3, DVec3, Vec3};
 use luxel_atlas::mesh_key;
 use luxel_scene::{Alpha, Instance, Light, LightKind, Material, Mesh, Scene, Sky, SkyImage, Texture, TextureRef, Wrap};
 use luxel_transport::lights::Source;
@@ -39,6 +39,8 @@ pub struct Keys {
     pub clear: Key,
     pub surfels: Key,
     pub sky: Key,
+    /// What surfels are made of: shape and matter.
+    solids: [Key; 2],
     /// By group.
     pub groups: Vec<GroupKeys>,
     pub finish: Key,
@@ -69,8 +71,8 @@ impl Keys {
         let setting = |digest: Digest, names: &[&str]| names.iter().fold(digest, |d, name| d.setting(settings, name));
         let clear = Digest::stage(Stage::Clear).bytes(&layout).bytes(&shape);
         let clear = setting(clear.version(Stage::Rays), &["double_sided"]).done();
-        let surfels = Digest::stage(Stage::Surfels).version(Stage::Rays).bytes(&shape).bytes(&matter);
-        let surfels = setting(surfels, &["voxels", "area"]).done();
+        let solids = [shape, matter];
+        let surfels = surfels_of(&solids, settings);
         // Too many emissive surfaces are gathered by cuts, at surfels and at texels.
         let lights = ["shadow_samples", "cut_error", "cut_limit", "near_rays"];
         let lights = if lighting.is_crowd { &lights[..] } else { &lights[..1] };
@@ -113,11 +115,21 @@ impl Keys {
         let lit = lighting.groups.iter().find(|g| g.sky.is_some()).map_or(Vec3::ZERO, |g| g.factor);
         let sky = Digest::new("sky").bytes(&sky_digest).vec3(lit).done();
         let named = [("geometry", shape), ("materials", matter), ("lights", lights.done()), ("the sky", sky)];
-        let named = named.into_iter().chain([("what receives light", parts.receivers())]);
+        let named = named.into_iter().chain([("what receives light", parts.receivers(true))]);
         let hex = |key: Key| blake3::Hash::from(key).to_hex().to_string();
         let parts = named.map(|(name, key)| (name.to_owned(), hex(key))).collect();
-        Self { layout, clear, surfels, sky: sky_key, groups, finish, parts }
+        Self { layout, clear, surfels, sky: sky_key, solids, groups, finish, parts }
     }
+
+    /// The key of the scene's surfels with other settings.
+    pub fn surfels(&self, settings: &Settings) -> Key {
+        surfels_of(&self.solids, settings)
+    }
+}
+
+fn surfels_of([shape, matter]: &[Key; 2], settings: &Settings) -> Key {
+    let digest = Digest::stage(Stage::Surfels).version(Stage::Rays).bytes(shape).bytes(matter);
+    ["voxels", "area"].iter().fold(digest, |digest, name| digest.setting(settings, name)).done()
 }
 
 /// What a scene is made of, by content.
@@ -136,11 +148,12 @@ impl<'a> Parts<'a> {
 
     /// What texels are made of: what receives, with its size in the world, on pages as the settings have them.
     fn layout(&self, settings: &Settings) -> Key {
-        let digest = Digest::stage(Stage::Unwrap).bytes(&self.receivers());
+        let digest = Digest::stage(Stage::Unwrap).bytes(&self.receivers(false));
         ["size", "texel_density", "padding"].iter().fold(digest, |d, name| d.setting(settings, name)).done()
     }
 
-    fn receivers(&self) -> Key {
+    /// What receives light; without the places, what decides its layout.
+    fn receivers(&self, places: bool) -> Key {
         let mut digest = Digest::new("receivers");
         let mut nodes: BTreeMap<(usize, usize, Option<u32>), u64> = BTreeMap::new();
         for instance in &self.scene.instances {
@@ -151,7 +164,9 @@ impl<'a> Parts<'a> {
             let node = *nodes.entry((*node, self.scene.meshes[*mesh].gltf_mesh, *gpu_instance)).or_insert(next);
             digest = digest.flag(*receives);
             if *receives {
-                let placed = digest.bytes(&self.meshes[*mesh]).affine(transform);
+                let place = if places { transform.translation } else { DVec3::ZERO };
+                let placed = DAffine3 { translation: place, ..*transform };
+                let placed = digest.bytes(&self.meshes[*mesh]).affine(&placed);
                 digest = placed.number(node).text(name).float(*texel_scale);
             }
         }

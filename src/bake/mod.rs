@@ -4,6 +4,7 @@ mod artefact;
 mod atlas;
 mod cause;
 mod direct;
+mod draft;
 mod export;
 mod finish;
 mod foresee;
@@ -14,6 +15,7 @@ mod keys;
 mod light;
 mod memory;
 pub mod mix;
+mod outgoing;
 mod receivers;
 mod record;
 mod report;
@@ -29,8 +31,8 @@ use std::panic::AssertUnwindSafe;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-use luxel_atlas::{Atlas, AtlasReport, InProcess, Unwrapper, Worker};
-use luxel_export::{BoundMap, Lightmap, OutputSet, Report, report::Warning};
+use luxel_atlas::{Atlas, AtlasReport, InProcess, Worker};
+use luxel_export::{BoundMap, Effort, Lightmap, OutputSet, Report, report::Warning};
 use luxel_scene::{InputFile, Progress, Scene, Watched};
 use luxel_transport::geometry::Geometry;
 
@@ -38,12 +40,14 @@ use crate::Error;
 use crate::plan::{Plan, Stage};
 use crate::settings::{Resolved, Settings};
 use crate::store::{self, Key, Kind, Store, StoreOptions, Writer};
+use finish::Seams;
 use groups::Lighting;
 use journal::Journal;
 use keys::Keys;
 use light::Parts;
 pub use light::TexelLight;
 use mix::Mix;
+use outgoing::Outgoing;
 use receivers::Receivers;
 pub(crate) use report::{json_form, versions};
 use tracer::Tracer;
@@ -101,6 +105,7 @@ enum Keep {
 }
 
 /// What every stage of a bake is told.
+#[derive(Clone, Copy)]
 struct Baking<'a> {
     settings: &'a Settings,
     plan: &'a Plan,
@@ -145,7 +150,19 @@ pub fn bake(request: &Request, progress: &dyn Progress) -> Result<Baked, Error> 
 /// [`bake`] among others: once the scene is open it waits at a gate, which also says on how many threads it goes on.
 /// How many makes no difference to any byte but those of the times in the report.
 pub fn bake_in_turn(request: &Request, gate: &dyn Gate, progress: &dyn Progress) -> Result<Baked, Error> {
-    begin(request, None, gate, progress)
+    begin(request, Order::default(), gate, progress)
+}
+
+/// [`bake`] with a draft first where light has to be gathered at texels: the same files from the same unwrap, lit
+/// coarsely within a moment, and replaced when the bake ends. `drafted` is told when they are in place; what then fails
+/// or is cancelled leaves them there, and their report says what they are. The bake's own files are those of [`bake`].
+pub fn bake_drafted(
+    request: &Request,
+    progress: &dyn Progress,
+    drafted: &mut (dyn FnMut(Baked) + Send),
+) -> Result<Baked, Error> {
+    let order = Order { drafted: Some(drafted), ..Order::default() };
+    begin(request, order, &Alone(request.settings.settings.threads.0), progress)
 }
 
 /// Writes the outputs of a bake with other weights of its light groups, from their stored light alone.
@@ -153,10 +170,20 @@ pub fn bake_in_turn(request: &Request, gate: &dyn Gate, progress: &dyn Progress)
 /// # Errors
 /// As a bake; a group that the scene does not have; light that is not stored.
 pub fn export(request: &Request, mix: &Mix, progress: &dyn Progress) -> Result<Baked, Error> {
-    begin(request, Some(mix), &Alone(request.settings.settings.threads.0), progress)
+    let order = Order { mix: Some(mix), ..Order::default() };
+    begin(request, order, &Alone(request.settings.settings.threads.0), progress)
 }
 
-fn begin(request: &Request, mix: Option<&Mix>, gate: &dyn Gate, progress: &dyn Progress) -> Result<Baked, Error> {
+/// What is wanted besides a plain bake.
+#[derive(Default)]
+struct Order<'a> {
+    /// Other weights of the light groups, from stored light alone.
+    mix: Option<&'a Mix>,
+    /// A draft first, and who is told of it.
+    drafted: Option<&'a mut (dyn FnMut(Baked) + Send)>,
+}
+
+fn begin(request: &Request, order: Order, gate: &dyn Gate, progress: &dyn Progress) -> Result<Baked, Error> {
     let start = Instant::now();
     let settings = &request.settings.settings;
     let mut journal = Journal::new(progress);
@@ -171,14 +198,14 @@ fn begin(request: &Request, mix: Option<&Mix>, gate: &dyn Gate, progress: &dyn P
     journal.explain(Stage::Import, opened.plan.reason(Stage::Import));
     let leave = gate.enter(&opened.plan.least_memory(settings), progress)?;
     opened.plan.warnings.extend(leave.warning);
-    on_threads(leave.threads, move || run(request, opened, mix, journal, start))
+    on_threads(leave.threads, move || run(request, opened, order, journal, start))
 }
 
 /// Everything after the import.
 fn run(
     request: &Request,
     opened: input::Opened,
-    mix: Option<&Mix>,
+    Order { mix, drafted }: Order,
     mut journal: Journal,
     start: Instant,
 ) -> Result<Baked, Error> {
@@ -206,24 +233,31 @@ fn run(
         only_stored: mix.is_some(),
     };
     let tracer = Tracer::new(&geometry);
-    let lit = match &request.worker {
-        Some(path) => light(&baking, &tracer, &worker(path), Keep::Images, &mut journal)?,
-        None => light(&baking, &tracer, &InProcess, Keep::Images, &mut journal)?,
+    let (mut atlas, mut atlas_report) = match &request.worker {
+        Some(path) => atlas::run(&baking, &scene, &worker(path), &mut journal)?,
+        None => atlas::run(&baking, &scene, &InProcess, &mut journal)?,
     };
+    let outgoing = Outgoing { request, tracer: &tracer, original: &original, inputs: &inputs, key, weights, start };
+    let mut besides = 0.0;
+    if let Some(drafted) = drafted.filter(|_| foresee::gathers(&plan, &store, &lighting, &keys)) {
+        let begun = start.elapsed();
+        let baked;
+        (baked, atlas, atlas_report) = draft::bake(&outgoing, &baking, (atlas, atlas_report), &mut journal)?;
+        drafted(baked);
+        besides = (start.elapsed() - begun).as_secs_f64();
+    }
+    let lit = light(&baking, &tracer, (atlas, atlas_report), Keep::Images, &mut journal)?;
     let picture = export::preview(&baking, &tracer, &lit, &mut journal)?;
-    drop(tracer);
-    let mut report = report::start(&scene, &inputs, &plan, &request.settings, &keys.parts);
-    report.mix = weights;
-    let glb = export::glb(request, &original, &scene, &plan, &lit, &mut report, &mut journal)?;
-    let warnings = store.take_notes();
-    report::fill(&mut report, &scene, &baking, &lit, warnings, journal, start.elapsed().as_secs_f64());
+    let figures = (store.take_notes(), start.elapsed().as_secs_f64() - besides);
+    let (report, glb) = outgoing.encoded(&baking, &lit, Effort::Small, figures, journal)?;
     // Beside the encoders lives what they read.
     let Lit { lightmaps, bounds, .. } = lit;
-    let images = (&lightmaps[..], &bounds[..]);
-    let files = export::write(&request.outputs, images, picture.as_deref(), &glb, &key, &mut report, progress)?;
+    let mut baked =
+        outgoing.written(report, (&lightmaps, &bounds), picture.as_deref(), &glb, Effort::Small, progress)?;
     store.evict();
     store::sweep(request.outputs.folder());
-    Ok(Baked { report, files, inputs: inputs.read, seconds: start.elapsed().as_secs_f64() })
+    baked.seconds -= besides;
+    Ok(baked)
 }
 
 /// Whether the result depends on the setting of this name: the number of threads changes no byte.
@@ -241,7 +275,9 @@ pub fn bake_scene(scene: &Scene, settings: &Settings, progress: &dyn Progress) -
         let geometry = Geometry::new(&scene);
         let baking =
             Baking { settings, plan: &plan, lighting: &lighting, keys: &keys, store: None, only_stored: false };
-        light(&baking, &Tracer::new(&geometry), &InProcess, Keep::Texels, &mut Journal::new(progress))
+        let mut journal = Journal::new(progress);
+        let laid_out = atlas::run(&baking, &scene, &InProcess, &mut journal)?;
+        light(&baking, &Tracer::new(&geometry), laid_out, Keep::Texels, &mut journal)
     })
 }
 
@@ -274,16 +310,15 @@ pub fn plan_file(
     })
 }
 
-/// The middle of the chain: from the scene to finished images.
+/// The middle of the chain: from the atlas to finished images.
 fn light(
     baking: &Baking,
     tracer: &Tracer,
-    unwrapper: &dyn Unwrapper,
+    (atlas, atlas_report): (Atlas, AtlasReport),
     keep: Keep,
     journal: &mut Journal,
 ) -> Result<Lit, Error> {
     let scene = tracer.geometry.scene;
-    let (atlas, atlas_report) = atlas::run(baking, scene, unwrapper, journal)?;
     if let Some(finished) = finish::stored(baking, &atlas, journal) {
         return Ok(finished.lit(atlas, atlas_report));
     }
@@ -293,7 +328,7 @@ fn light(
             Keep::Texels => Cow::Borrowed(&texels),
             Keep::Images => Cow::Owned(std::mem::take(&mut texels)),
         };
-        finish::run(baking, scene, &atlas, light, (&sums, &facts), journal)?
+        finish::run(baking, scene, &atlas, light, (&sums, &facts), Seams::Stitched, journal)?
     };
     Ok(Lit { atlas, atlas_report, texels, lightmaps, bounds, sums, transport: facts })
 }

@@ -52,7 +52,7 @@ pub struct Side<'a> {
 }
 
 impl<'a> Side<'a> {
-    fn front(geometry: &'a Geometry<'a>, atlas: &'a Atlas) -> Self {
+    pub fn front(geometry: &'a Geometry<'a>, atlas: &'a Atlas) -> Self {
         let buried = vec![false; atlas.texels.len()];
         let (texels, charts) = (&atlas.texels[..], &atlas.charts[..]);
         Self { geometry, texels, charts, some: None, back: false, moved: Vec::new(), beyond: Vec::new(), buried }
@@ -93,7 +93,7 @@ impl<'a> Side<'a> {
         &self.texels[self.some.as_ref().map_or(at, |some| some[at] as usize)]
     }
 
-    fn receiver(&self, at: usize) -> Receiver {
+    pub fn receiver(&self, at: usize) -> Receiver {
         match self.moved.binary_search_by_key(&at, |(i, _)| *i) {
             Ok(found) => self.moved[found].1,
             Err(_) => self.original(at),
@@ -113,6 +113,12 @@ impl<'a> Side<'a> {
         }
         let (normal, shading_normal) = (-front.normal, -front.shading_normal);
         Receiver { normal, shading_normal, seed: combine(seed, BACK), ..front }
+    }
+
+    /// The receiver of a texel of a side that nobody has cleared; none where it is buried and has nowhere to go.
+    pub fn cleared(&self, rays: &Rays, at: usize) -> Option<Receiver> {
+        let receiver = self.original(at);
+        if validity::is_buried(rays, &receiver) { validity::sides(rays, &receiver).larger } else { Some(receiver) }
     }
 
     /// Finds the texels that are buried, and moves those that need not be.
@@ -193,7 +199,8 @@ impl<'a> Side<'a> {
         end
     }
 
-    fn cell(&self, at: usize) -> Cell {
+    /// Where a texel lies in its chart.
+    pub fn cell(&self, at: usize) -> Cell {
         let t = self.texel(at);
         let chart = &self.charts[t.chart as usize];
         Cell { chart: t.chart, x: u32::from(t.x) - chart.x, y: u32::from(t.y) - chart.y }
@@ -215,42 +222,64 @@ impl<'a> Receivers<'a> {
         store: Option<(&Store, &Key)>,
         journal: &mut Journal,
     ) -> Result<Self, Error> {
-        let geometry = tracer.geometry;
-        let mut sides = vec![Side::front(geometry, atlas)];
+        if let Some(stored) = store.and_then(|store| Self::stored(tracer, atlas, settings, plan, store, journal)) {
+            return Ok(stored);
+        }
+        let mut sides = Self::uncleared(tracer, atlas, settings);
+        if !plan.runs(Stage::Clear) {
+            journal.left_out(plan, Stage::Clear);
+            return Ok(Self::of(sides));
+        }
+        let rays = tracer.rays(plan, journal)?;
+        let work = sides.iter().map(|s| s.len() as u64).sum();
+        journal.run(plan, Stage::Clear, Some(work), |progress, counters| {
+            for side in &mut sides {
+                side.clear(rays, progress)?;
+            }
+            let count = |f: fn(&Side) -> usize| sides.iter().map(|s| f(s) as u64).sum::<u64>();
+            counters.insert("moved_texels".into(), count(|s| s.moved.len()));
+            counters.insert("two_sided_texels".into(), count(|s| s.beyond.len()));
+            counters.insert("buried_texels".into(), count(|s| s.buried.iter().filter(|b| **b).count()));
+            if let Some((store, key)) = store {
+                store.put(Kind::Clear, key, |out| write(out, &sides, counters));
+            }
+            Ok(())
+        })?;
+        Ok(Self::of(sides))
+    }
+
+    /// The same where it is stored how they were cleared.
+    pub fn stored(
+        tracer: &'a Tracer,
+        atlas: &'a Atlas,
+        settings: &Settings,
+        plan: &Plan,
+        (store, key): (&Store, &Key),
+        journal: &mut Journal,
+    ) -> Option<Self> {
+        let mut sides = Self::uncleared(tracer, atlas, settings);
+        let (counters, cleared) = store.get(Kind::Clear, key, |body| read(body, &sides))?;
+        journal.reused(plan, Stage::Clear, counters);
+        for (side, cleared) in sides.iter_mut().zip(cleared) {
+            (side.moved, side.beyond, side.buried) = cleared;
+        }
+        Some(Self::of(sides))
+    }
+
+    /// Fronts, and backs where they matter.
+    fn uncleared(tracer: &'a Tracer, atlas: &'a Atlas, settings: &Settings) -> Vec<Side<'a>> {
+        let mut sides = vec![Side::front(tracer.geometry, atlas)];
         if settings.double_sided != DoubleSided::Front {
-            sides.push(Side::back(geometry, atlas));
+            sides.push(Side::back(tracer.geometry, atlas));
         }
-        let stored = store.and_then(|(store, key)| store.get(Kind::Clear, key, |body| read(body, &sides)));
-        match stored {
-            Some((counters, cleared)) => {
-                journal.reused(plan, Stage::Clear, counters);
-                for (side, cleared) in sides.iter_mut().zip(cleared) {
-                    (side.moved, side.beyond, side.buried) = cleared;
-                }
-            }
-            None if plan.runs(Stage::Clear) => {
-                let rays = tracer.rays(plan, journal)?;
-                let work = sides.iter().map(|s| s.len() as u64).sum();
-                journal.run(plan, Stage::Clear, Some(work), |progress, counters| {
-                    for side in &mut sides {
-                        side.clear(rays, progress)?;
-                    }
-                    let count = |f: fn(&Side) -> usize| sides.iter().map(|s| f(s) as u64).sum::<u64>();
-                    counters.insert("moved_texels".into(), count(|s| s.moved.len()));
-                    counters.insert("two_sided_texels".into(), count(|s| s.beyond.len()));
-                    counters.insert("buried_texels".into(), count(|s| s.buried.iter().filter(|b| **b).count()));
-                    if let Some((store, key)) = store {
-                        store.put(Kind::Clear, key, |out| write(out, &sides, counters));
-                    }
-                    Ok(())
-                })?;
-            }
-            None => journal.left_out(plan, Stage::Clear),
-        }
+        sides
+    }
+
+    fn of(mut sides: Vec<Side<'a>>) -> Self {
         // After the front itself and before its backs.
         let far = sides[0].far();
         sides.insert(1, far);
-        Ok(Self { sides })
+        Self { sides }
     }
 
     /// Receivers, buried ones included.

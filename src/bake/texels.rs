@@ -78,9 +78,7 @@ fn direct_layers(
         journal.left_out_unless_run(plan, Stage::Direct);
         return Ok(dark(receivers, false));
     }
-    let stored = |body: &mut Reader| Ok((head(body)?, layers(body, receivers, false)?));
-    if let Some((counters, layers)) = baking.store.and_then(|store| store.get(Kind::Direct, &keys.direct, stored)) {
-        journal.reused(plan, Stage::Direct, counters);
+    if let Some(layers) = stored_direct(baking, receivers, keys, journal) {
         return Ok(layers);
     }
     baking.may_make(&group.name)?;
@@ -97,6 +95,28 @@ fn direct_layers(
         })?;
         Ok(found)
     })
+}
+
+fn stored_direct(
+    baking: &Baking,
+    receivers: &Receivers,
+    keys: &GroupKeys,
+    journal: &mut Journal,
+) -> Option<Vec<Layer>> {
+    let stored = |body: &mut Reader| Ok((head(body)?, layers(body, receivers, false)?));
+    let (counters, layers) = baking.store?.get(Kind::Direct, &keys.direct, stored)?;
+    journal.reused(baking.plan, Stage::Direct, counters);
+    Some(layers)
+}
+
+/// Direct light of a group on the fronts [lux], if it is stored.
+pub fn stored_front(
+    baking: &Baking,
+    receivers: &Receivers,
+    keys: &GroupKeys,
+    journal: &mut Journal,
+) -> Option<Vec<Rgb>> {
+    stored_direct(baking, receivers, keys, journal)?.into_iter().next().map(|layer| layer.irradiance)
 }
 
 /// Light of the unit sky, straight from it.

@@ -4,7 +4,7 @@ use std::rc::Rc;
 
 use luxel_transport::{
     Rgb, directions,
-    gather::{Field, refresh},
+    gather::{Field, Gather, refresh},
     geometry::Geometry,
     lights::Emitters,
     octree::{self, Octree},
@@ -59,12 +59,24 @@ impl Facts {
     }
 }
 
+impl std::ops::AddAssign for Facts {
+    fn add_assign(&mut self, other: Self) {
+        self.surfels = self.surfels.max(other.surfels);
+        self.record = match (self.record.take(), other.record) {
+            (Some(own), Some(other)) => Some(own.joined(other)),
+            (own, other) => own.or(other),
+        };
+    }
+}
+
 /// What the groups of a scene share on the way to their light at surfels.
 #[derive(Default)]
 pub struct Transport {
     emitters: Option<Emitters>,
     surfels: Option<Rc<Surfels>>,
     closed: Option<bool>,
+    /// The direct light of a surfel is that of one point of it: for drafts, whose light nobody stores.
+    is_coarse: bool,
     pub facts: Facts,
 }
 
@@ -132,6 +144,20 @@ impl Transport {
             Ok(())
         })?;
         Ok((surfels, solution, record))
+    }
+
+    /// The same for a draft, of which the surfels alone are stored: the next change is a lamp's, most likely.
+    pub fn draft(
+        &mut self,
+        baking: &Baking,
+        tracer: &Tracer,
+        number: usize,
+        journal: &mut Journal,
+    ) -> Result<(Rc<Surfels>, Solution, Record), Error> {
+        self.is_coarse = true;
+        self.voxelize(baking, tracer, journal)?;
+        let kept = Baking { store: None, ..*baking };
+        self.made(&kept, tracer, number, journal)
     }
 
     /// The same, from the surfels on.
@@ -245,7 +271,7 @@ impl Transport {
             return Ok(Some((light, counters)));
         }
         let geometry = rays.geometry;
-        let points = if direct::is_crowded(geometry, &emitters) { 1 } else { POINTS };
+        let points = if self.is_coarse || direct::is_crowded(geometry, &emitters) { 1 } else { POINTS };
         // How many groups the photons make is known to the shooting alone.
         let work = if settings.photons.0 > 0 { 0 } else { count as u64 * u64::from(points) };
         let light = journal.always(Stage::Shoot, plan.reason(Stage::Shoot), Some(work), |progress, counters| {
@@ -254,9 +280,12 @@ impl Transport {
                 let how = PhotonSettings { primary, directions: PHOTONS_PER_POINT };
                 shoot::photons(rays, &emitters, surfels, how, progress)?
             } else {
-                direct::with(rays, &emitters, settings, progress, |direct| {
-                    Ok(shoot::exact(geometry, surfels, direct, points, progress)?)
-                })?
+                let exact = |direct: &dyn Gather| Ok(shoot::exact(geometry, surfels, direct, points, progress)?);
+                if self.is_coarse {
+                    direct::with_few(rays, &emitters, settings, progress, exact)?
+                } else {
+                    direct::with(rays, &emitters, settings, progress, exact)?
+                }
             };
             counters.insert("primary_photons".into(), shot.primary_photons);
             counters.insert("direct_photons".into(), shot.direct_photons);

@@ -50,6 +50,9 @@ Bakes every scene whose outputs are not current, and again whenever a file chang
 saved without a change bakes nothing; a scene that cannot be baked says why and keeps its last lightmap. New scenes in
 watched folders are baked too.
 
+Where light has to be gathered anew, a draft comes first: the same files with the same UVs, lit coarsely, without a
+picture. The bake replaces it. --check calls it stale, and its report says what it is.
+
 Examples:
   luxel watch level.glb --preset draft          lightmap anew after every save
   luxel watch levels/ --out lit/                every scene below a folder
@@ -73,6 +76,7 @@ Events of --json, one object per line, with their fields:
   unchanged  scene, files            touched, with the content of before
   removed    scene                   its outputs stay
   baking     scene                   then stages as of luxel bake --json: started, progress, finished
+  drafted    scene, seconds, outputs, quality, warnings    a draft lies there until the bake ends
   overtaken  scene                   stopped, because its files changed; another bake follows unless they changed back
   baked      scene, seconds, outputs, quality, warnings
   failed     scene, error, causes    its last good outputs stay
@@ -223,6 +227,9 @@ pub struct Watch {
     /// Look for changes every so many seconds instead of being told: for network drives
     #[arg(long, value_name = "SECONDS", value_parser = interval)]
     pub poll: Option<Duration>,
+    /// Write no draft before a bake that takes longer
+    #[arg(long)]
+    pub no_draft: bool,
     /// Show lightmaps in the browser, as they are baked: serves a page on this machine, for this machine
     #[arg(long)]
     pub preview: bool,

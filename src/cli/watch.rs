@@ -7,7 +7,7 @@ use luxel::watch::event::{Event, Fault};
 use luxel::watch::{self, Choices, Finished, Options, Task};
 
 use super::args::Watch;
-use super::progress::{Reporter, Style, event, say};
+use super::progress::{Reporter, Style, duration, event, say};
 use super::{DONE, SOME_FAILED, config, on_interrupt, print};
 
 /// Bakes until it is interrupted.
@@ -27,7 +27,7 @@ pub fn watch(args: &Watch) -> anyhow::Result<u8> {
     let stopper = watch.stopper();
     on_interrupt(move || stopper.stop())?;
     let live = args.preview.then(|| serve(style, args.port)).transpose()?;
-    let ending = watch.run(&|task: &Task| bake(style, task), &mut |event| {
+    let ending = watch.run(&|task: &Task| bake(style, !args.no_draft, task), &mut |event| {
         // Pages hear of it first: somebody waits for them.
         let unshown = live.as_ref().and_then(|live| show(live, &event));
         tell(style, event);
@@ -46,13 +46,19 @@ fn serve(style: Style, port: Option<u16>) -> anyhow::Result<Live> {
 /// Shows in the preview what an event tells; what is to be told where it cannot.
 fn show(live: &Live, told: &Event) -> Option<Event> {
     let error = live.follow(told).err()?;
-    let (Event::Baked { scene, .. } | Event::Current { scene, .. }) = told else { return None };
+    let (Event::Baked { scene, .. } | Event::Drafted { scene, .. } | Event::Current { scene, .. }) = told else {
+        return None;
+    };
     Some(Event::Unshown { scene: scene.clone(), fault: Fault::new(&error) })
 }
 
-fn bake(style: Style, task: &Task) -> Result<Finished, luxel::Error> {
+fn bake(style: Style, drafts: bool, task: &Task) -> Result<Finished, luxel::Error> {
     let reporter = Reporter::new(style, &print::written(&task.request.scene), task.cancelled.clone());
-    let baked = luxel::bake(task.request, &reporter);
+    let baked = if drafts {
+        luxel::bake_drafted(task.request, &reporter, &mut |draft| (task.drafted)(draft.into()))
+    } else {
+        luxel::bake(task.request, &reporter)
+    };
     reporter.finish();
     Ok(baked?.into())
 }
@@ -102,6 +108,7 @@ fn line(told: &Event) -> Option<String> {
         Event::Changed { files, .. } => format!("changed: {}", names(files)),
         Event::Removed { scene } => format!("{} has gone; its lightmap stays", name(scene)),
         Event::Baking { scene } => name(scene),
+        Event::Drafted { done, .. } => format!("  draft written after {}", duration(done.seconds)),
         Event::Overtaken { scene } => format!("  stopped: {} has changed meanwhile", name(scene)),
         Event::Current { scene, .. } => format!("{} is as it was when its lightmap was baked", name(scene)),
         Event::Unshown { scene, fault } => {

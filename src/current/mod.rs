@@ -6,7 +6,7 @@
 //!
 //! | looked at | stale where |
 //! |---|---|
-//! | report | it is not there, cannot be read, is another scene's, or contradicts itself |
+//! | report | it is not there, cannot be read, is another scene's, contradicts itself, or is that of a draft |
 //! | versions | luxel or one of its stages has another one |
 //! | settings | one that decides the result has another value, wherever it comes from now |
 //! | inputs | one has other bytes, cannot be read any more, or can be read now and could not then |
@@ -86,7 +86,8 @@ fn compare(scene: &Path, outputs: &OutputSet, settings: &Resolved, progress: &dy
         Ok(inputs) => inputs,
         Err(reason) => return Ok(State::Stale(vec![reason])),
     };
-    let mut reasons = version_reasons(&report);
+    let mut reasons = if report.draft { vec![Reason::Draft] } else { Vec::new() };
+    reasons.extend(version_reasons(&report));
     reasons.extend((!report.mix.is_empty()).then_some(Reason::Mixed));
     reasons.extend(setting_reasons(&report, settings, inputs.is_same_sky));
     reasons.extend(inputs.reasons);

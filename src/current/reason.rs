@@ -10,6 +10,8 @@ use serde_json::{Value as Json, json};
 pub enum Reason {
     /// There is no report where the outputs go.
     Unbaked,
+    /// It was, as a draft alone.
+    Draft,
     /// The report does not tell what it should.
     Report {
         what: String,
@@ -57,6 +59,7 @@ impl Reason {
     pub fn code(&self) -> &'static str {
         match self {
             Self::Unbaked => "not-baked",
+            Self::Draft => "draft",
             Self::Report { .. } => "report-unreadable",
             Self::Version { .. } => "version-changed",
             Self::Setting { .. } => "setting-changed",
@@ -80,6 +83,7 @@ impl fmt::Display for Reason {
     fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
         match self {
             Self::Unbaked => f.write_str("it has not been baked to this place yet"),
+            Self::Draft => f.write_str("its outputs are a draft"),
             Self::Report { what } => write!(f, "the report cannot be read: {}", plain(what)),
             Self::Version { of, was, is } if of == "luxel" => {
                 write!(f, "it was baked by luxel {}, and this is {}", plain(was), plain(is))

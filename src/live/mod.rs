@@ -137,7 +137,7 @@ impl Live {
     /// # Errors
     /// The report cannot be read: pages go on showing what they show.
     pub fn changed(&self, scene: &Path, report: &Path) -> Result<(), LiveError> {
-        self.shared.scenes.show(scene, Outputs::read(report)?);
+        self.shared.scenes.show(scene, Outputs::read(report)?, Status::Current);
         Ok(())
     }
 
@@ -149,6 +149,12 @@ impl Live {
         match event {
             Event::Baked { scene, done } => self.done(scene, &done.outputs)?,
             Event::Current { scene, outputs } => self.done(scene, outputs)?,
+            Event::Drafted { scene, done } => {
+                // The bake goes on.
+                if let Some(report) = done.outputs.last() {
+                    self.shared.scenes.show(scene, Outputs::read(report)?, Status::Baking);
+                }
+            }
             // An overtaken bake need not be followed by another one.
             Event::Found { scene } | Event::Overtaken { scene } => self.tell(scene, Status::Waiting),
             Event::Baking { scene } => self.tell(scene, Status::Baking),

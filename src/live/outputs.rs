@@ -153,7 +153,7 @@ fn facts(report: &Report) -> Value {
     let setting = |name: &str| report.settings.iter().find(|s| s.name == name).map(|s| s.value.clone());
     let figure = |name: &str| report.quality.get(name).copied();
     json!({
-        "preset": setting("preset"),
+        "preset": if report.draft { Some("draft".into()) } else { setting("preset") },
         "metal_diffuse": setting("metal_diffuse"),
         "emissive_scale": setting("emissive_scale"),
         "only": setting("only"),

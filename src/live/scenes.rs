@@ -47,11 +47,11 @@ pub enum News {
 }
 
 impl Scenes {
-    /// Files of a scene are in place.
-    pub fn show(&self, path: &Path, outputs: Outputs) {
+    /// Files of a scene are in place: all of a bake's, or a draft's while it goes on.
+    pub fn show(&self, path: &Path, outputs: Outputs, status: Status) {
         self.edit(path, |scene| {
             scene.outputs = Some(Arc::new(outputs));
-            scene.status = Status::Current;
+            scene.status = status;
         });
     }
 

@@ -352,6 +352,13 @@ impl Book {
         self.index();
     }
 
+    /// A draft has taken the place of a scene's outputs, so they are those of no bake, even if its files change back.
+    pub fn drafted(&mut self, scene: &Path) {
+        if let Some(item) = self.items.get_mut(scene) {
+            item.baked = None;
+        }
+    }
+
     /// Nothing has been baked for a scene by this watch, so its outputs may be those of an earlier run.
     pub fn is_fresh(&self, scene: &Path) -> bool {
         self.items.get(scene).is_some_and(|item| item.baked.is_none())

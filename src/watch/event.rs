@@ -14,6 +14,7 @@
 //! | `unchanged` | `scene`, `files` [text] | files were touched, and hold what they held |
 //! | `removed` | `scene` | a scene has gone; its outputs stay |
 //! | `baking` | `scene` | a bake begins |
+//! | `drafted` | `scene`, `seconds`, `outputs` [text], `quality` {name: number}, `warnings` [{`code`, `message`}] | a draft of what is being baked is in place of the scene's outputs, until the bake ends |
 //! | `overtaken` | `scene` | a bake was stopped, because its files have changed meanwhile; another one follows unless they were changed back or removed |
 //! | `baked` | `scene`, `seconds`, `outputs` [text], `quality` {name: number}, `warnings` [{`code`, `message`}] | a bake has ended well; all its files are in place |
 //! | `failed` | `scene`, `error`, `causes` [text] | the scene cannot be baked as it is now; its last good outputs stay; it is tried again when a file of it changes or, if the fault lies neither in its files nor in its settings, is touched |
@@ -22,7 +23,7 @@
 //! | `idle` | `scenes` number, `failed` [text] | everything is as current as it can be |
 //! | `stopped` | `scenes` number, `failed` [text] | the last one: the watch was asked to end |
 //!
-//! Between `baking` and what ends it, the tool also prints the events of its stages as `luxel bake --json` does
+//! Between `baking` and what ends it, a draft included, the tool also prints the events of its stages as `luxel bake --json` does
 //! (`started`, `progress`, `finished`).
 
 use std::collections::BTreeMap;
@@ -43,6 +44,7 @@ pub enum Event {
     Unchanged { scene: PathBuf, files: Vec<PathBuf> },
     Removed { scene: PathBuf },
     Baking { scene: PathBuf },
+    Drafted { scene: PathBuf, done: Done },
     Overtaken { scene: PathBuf },
     Baked { scene: PathBuf, done: Done },
     Failed { scene: PathBuf, fault: Fault },
@@ -97,14 +99,8 @@ impl Event {
             Self::Removed { scene } => of("removed", scene),
             Self::Baking { scene } => of("baking", scene),
             Self::Overtaken { scene } => of("overtaken", scene),
-            Self::Baked { scene, done } => json!({
-                "event": "baked",
-                "scene": text(scene),
-                "seconds": done.seconds,
-                "outputs": texts(&done.outputs),
-                "quality": done.quality,
-                "warnings": done.warnings,
-            }),
+            Self::Drafted { scene, done } => with_done("drafted", scene, done),
+            Self::Baked { scene, done } => with_done("baked", scene, done),
             Self::Failed { scene, fault } => with_fault("failed", scene, fault),
             Self::Current { scene, outputs } => {
                 json!({ "event": "current", "scene": text(scene), "outputs": texts(outputs) })
@@ -120,6 +116,17 @@ impl Event {
 
 fn of(event: &str, scene: &Path) -> Value {
     json!({ "event": event, "scene": text(scene) })
+}
+
+fn with_done(event: &str, scene: &Path, done: &Done) -> Value {
+    json!({
+        "event": event,
+        "scene": text(scene),
+        "seconds": done.seconds,
+        "outputs": texts(&done.outputs),
+        "quality": done.quality,
+        "warnings": done.warnings,
+    })
 }
 
 fn with_fault(event: &str, scene: &Path, fault: &Fault) -> Value {
@@ -172,6 +179,7 @@ mod tests {
             Event::Unchanged { scene: scene.clone(), files: files.clone() },
             Event::Removed { scene: scene.clone() },
             Event::Baking { scene: scene.clone() },
+            Event::Drafted { scene: scene.clone(), done: Done::default() },
             Event::Overtaken { scene: scene.clone() },
             Event::Baked { scene: scene.clone(), done: Done::default() },
             Event::Failed { scene: scene.clone(), fault: fault.clone() },

@@ -13,7 +13,7 @@
 //!
 //! Events of the file system are hints and nothing more: they say when to look, and what is seen decides. Folders are
 //! armed before they are looked at, so what happens in between is hinted at. How a scene is baked is the [`Baker`]'s
-//! affair: the tool's is [`crate::bake`], and one that writes a draft first, or takes stages from a store, is another.
+//! affair: the tool's is [`crate::bake_drafted`], which writes a draft first where that is of use.
 
 mod batch;
 mod book;
@@ -75,6 +75,9 @@ pub struct Task<'a> {
     pub request: &'a Request,
     /// True once the bake is no longer wanted.
     pub cancelled: &'a Arc<AtomicBool>,
+    /// To be told when a draft lies where the outputs go. From then on the scene counts as one that was never baked,
+    /// until the bake ends well.
+    pub drafted: &'a (dyn Fn(Done) + Sync),
 }
 
 /// A bake that ended well.
@@ -87,9 +90,15 @@ pub struct Finished {
 
 impl From<Baked> for Finished {
     fn from(baked: Baked) -> Self {
-        let Baked { report, files, inputs, seconds, .. } = baked;
-        let done = Done { seconds, outputs: files, quality: report.quality, warnings: report.warnings };
-        Self { done, inputs }
+        let inputs = baked.inputs.clone();
+        Self { done: baked.into(), inputs }
+    }
+}
+
+impl From<Baked> for Done {
+    fn from(baked: Baked) -> Self {
+        let Baked { report, files, seconds, .. } = baked;
+        Self { seconds, outputs: files, quality: report.quality, warnings: report.warnings }
     }
 }
 
@@ -116,6 +125,8 @@ pub struct Ending {
 
 enum Message {
     Hint(Hint),
+    /// The running bake has written a draft.
+    Drafted(Done),
     /// The running bake has ended.
     Ended(Result<Finished, Error>),
     Stop,

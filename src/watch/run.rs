@@ -18,7 +18,7 @@ use luxel_scene::Silent;
 use super::batch::{Batch, Hint, Hints};
 use super::book::Book;
 use super::depend::Look;
-use super::event::{Event, Fault};
+use super::event::{Done, Event, Fault};
 use super::folders::Folders;
 use super::source::Watched;
 use super::{Baker, Ending, Finished, Message, Task, Watch};
@@ -176,6 +176,7 @@ impl Course<'_, '_, '_> {
     fn take(&mut self, message: Message) {
         match message {
             Message::Stop => self.stopping = true,
+            Message::Drafted(done) => self.drafted(done),
             Message::Ended(result) => self.ended(result),
             Message::Hint(hint) => {
                 let Hint::At { path, .. } = &hint else { return self.batch.add(self.now(), hint) };
@@ -287,7 +288,9 @@ impl Course<'_, '_, '_> {
         let (baker, sender, flag) = (self.baker, self.sender.clone(), cancelled.clone());
         self.running = Some(Running { scene, look, cancelled, overtaken: false, hinted: Vec::new() });
         let work = move || {
-            let task = Task { request: &request, cancelled: &flag };
+            // The receiver waits for the end of the bake.
+            let drafted = |done| drop(sender.send(Message::Drafted(done)));
+            let task = Task { request: &request, cancelled: &flag, drafted: &drafted };
             let result = std::panic::catch_unwind(AssertUnwindSafe(|| baker.bake(&task)));
             let broken = || Err(Error::Internal { what: "a panic outside of the bake".into() });
             // The receiver waits for it.
@@ -298,6 +301,14 @@ impl Course<'_, '_, '_> {
             if let Some(running) = self.running.take() {
                 self.failed(running.scene, running.look, fault, false);
             }
+        }
+    }
+
+    fn drafted(&mut self, done: Done) {
+        if let Some(Running { scene, .. }) = &self.running {
+            let scene = scene.clone();
+            self.book.drafted(&scene);
+            self.voice.say(Event::Drafted { scene, done });
         }
     }
 

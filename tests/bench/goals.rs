@@ -1,11 +1,14 @@
 //! The goals by number, in one run: what was measured beside what must be and what is aimed at.
 //!
 //! `cargo bench --bench goals` prints the whole table, `-- quick` leaves out the bakes (the rows on errors, texels and
-//! whole bakes), and `-- gaps` prints another one: how soon a bake stops, stage by stage. Rates of one thread are taken from that thread's processor time, so that they do not depend on what
+//! whole bakes and on edits). Two others print a table of their own: `-- gaps`, how soon a bake stops, stage by stage, and
+//! `-- edits`, what edits of a scene cost beside its bake, by the wall clock (`--size 256` makes its lightmap smaller).
+//! Rates of one thread are taken from that thread's processor time, so that they do not depend on what
 //! else the machine does (but for shared caches and processors that share a core); only the comparison of two
 //! threads with one needs the wall clock and two idle processors. Ratios compare work that was timed in turns.
 
 mod bakes;
+mod edits;
 mod gaps;
 mod heap;
 mod meter;
@@ -48,14 +51,20 @@ pub fn row(what: &str, value: f64, unit: &str, goal: Goal) {
 }
 
 fn main() {
-    let asked = |what: &str| std::env::args().any(|a| a == what);
+    let args: Vec<String> = std::env::args().collect();
+    let asked = |what: &str| args.iter().any(|a| a == what);
+    let size = args.iter().skip_while(|a| *a != "--size").nth(1).map_or(1024, |a| a.parse().expect("a size"));
     println!("{:<58} {:>9} {:<9} {:>8} {:>7} {:>8}", "what", "value", "unit", "must", "aim", "met");
     if asked("gaps") {
         return gaps::measure();
+    }
+    if asked("edits") {
+        return edits::measure(size);
     }
     rates::measure();
     bakes::start_up();
     if !asked("quick") {
         bakes::measure();
+        edits::measure(size);
     }
 }

@@ -239,6 +239,7 @@ fn what_a_watch_tells_is_shown() {
     for (event, state, shows) in [
         (Event::Found { scene: scene.clone() }, "waiting", false),
         (Event::Baking { scene: scene.clone() }, "baking", false),
+        (Event::Drafted { scene: scene.clone(), done: done.clone() }, "baking", true),
         (Event::Baked { scene: scene.clone(), done }, "current", true),
         (Event::Failed { scene: scene.clone(), fault }, "failed", true),
         (Event::Overtaken { scene: scene.clone() }, "waiting", true),

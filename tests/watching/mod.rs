@@ -27,6 +27,8 @@ struct Log {
     is_shut: bool,
     /// They do not heed that they were cancelled, as one that is about to end.
     is_deaf: bool,
+    /// They write a draft first.
+    drafts: bool,
     /// One has read its files and waits.
     is_held: bool,
 }
@@ -141,6 +143,11 @@ impl Bench {
         self.log.0.lock().unwrap().is_deaf = true;
     }
 
+    /// Bakes write a draft first from now on.
+    pub fn draft(&self) {
+        self.log.0.lock().unwrap().drafts = true;
+    }
+
     /// Waits until a bake has read its files and waits.
     pub fn held(&self) {
         let log = self.log.0.lock().unwrap();
@@ -177,6 +184,11 @@ fn bake(log: &(Mutex<Log>, Condvar), task: &Task) -> Result<Finished, luxel::Err
 fn work(log: &(Mutex<Log>, Condvar), task: &Task) -> Result<Finished, luxel::Error> {
     let scene = import::load(&task.request.scene, &ImportOptions::default())?;
     let mut state = log.0.lock().unwrap();
+    if state.drafts {
+        let glb = task.request.outputs.glb();
+        luxel_export::write_atomic(&glb, b"draft")?;
+        (task.drafted)(Done { outputs: vec![glb], ..Done::default() });
+    }
     state.is_held = state.is_shut;
     log.1.notify_all();
     let is_cancelled = |log: &Log| !log.is_deaf && task.cancelled.load(Ordering::Relaxed);

@@ -193,9 +193,11 @@ enum Kind {
     Authored(usize),
 }
 
+/// Corners of a triangle in the world, about the origin of its instance: to the last bit, no size depends on where that
+/// is, so an object that is moved keeps its place on the pages.
 fn world(scene: &Scene, instance: usize, triangle: usize) -> [DVec3; 3] {
     let instance = &scene.instances[instance];
-    scene.corners(instance.mesh, triangle).map(|p| instance.transform.transform_point3(p.as_dvec3()))
+    scene.corners(instance.mesh, triangle).map(|p| instance.transform.transform_vector3(p.as_dvec3()))
 }
 
 fn unwrapped(scene: &Scene, group: u32, instance: usize, charts: &crate::charts::Charts) -> Vec<Block> {

@@ -26,6 +26,6 @@ pub use gltf::{Glb, Original};
 pub use lightmap::{BoundMap, Lightmap, sample_lightmap};
 pub use openexr::Depth;
 pub use output::{Files, OutputSet, is_output};
-pub use png::{Image8, encode_png, encode_png_with};
+pub use png::{Effort, Image8, encode_png, encode_png_with};
 pub use report::Report;
 pub use tonemap::ToneMap;

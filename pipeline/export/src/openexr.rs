@@ -19,7 +19,7 @@ use exr::prelude::{
 use exr::{error::Error, image::Blocks, meta::attribute::AttributeValue};
 use glam::Vec3;
 
-use crate::{BoundMap, ExportError, Lightmap};
+use crate::{BoundMap, Effort, ExportError, Lightmap};
 
 /// Name of the channel that tells buried texels.
 pub const BURIED: &str = "buried";
@@ -84,6 +84,15 @@ impl<'a> Exr<'a> {
         let key = Text::new_or_none(key).ok_or_else(|| ExportError::encode("EXR", "the key is not plain text"))?;
         image.attributes.other.insert(Text::from("luxel:key"), AttributeValue::Text(key));
         Ok(Self(Box::new(image)))
+    }
+
+    /// The same, with so much effort: what is to be written soon is not compressed.
+    pub fn with(mut self, effort: Effort) -> Self {
+        self.0.layer_data.encoding.compression = match effort {
+            Effort::Small => Compression::ZIP16,
+            Effort::Fast => Compression::Uncompressed,
+        };
+        self
     }
 
     /// Writes the file; `out` stands at its beginning, and seeks pay when it is buffered.

@@ -9,7 +9,7 @@ use std::{
 use luxel_scene::{Progress, Watched};
 
 use crate::{
-    BoundMap, Depth, ExportError, Lightmap, atomic,
+    BoundMap, Depth, Effort, ExportError, Lightmap, atomic,
     openexr::Exr,
     report::{Output, Report},
 };
@@ -33,6 +33,8 @@ pub struct Files<'a> {
     /// Empty, or one image per page.
     pub bounds: &'a [BoundMap],
     pub depth: Depth,
+    /// What the images are encoded with.
+    pub effort: Effort,
     /// Hash of what went into the bake, written into the images.
     pub key: &'a str,
     /// The encoded preview picture.
@@ -179,10 +181,16 @@ impl OutputSet {
         let pages = files.lightmaps.len();
         let mut contents = Vec::new();
         for (i, map) in files.lightmaps.iter().enumerate() {
-            contents.push((self.lightmap(i, pages), Content::Exr(Exr::lightmap(map, files.depth, files.key)?)));
+            contents.push((
+                self.lightmap(i, pages),
+                Content::Exr(Exr::lightmap(map, files.depth, files.key)?.with(files.effort)),
+            ));
         }
         for (i, map) in files.bounds.iter().enumerate() {
-            contents.push((self.bound(i, pages), Content::Exr(Exr::bound(map, files.depth, files.key)?)));
+            contents.push((
+                self.bound(i, pages),
+                Content::Exr(Exr::bound(map, files.depth, files.key)?.with(files.effort)),
+            ));
         }
         if let Some(png) = files.preview_png {
             contents.push((self.preview(), Content::Bytes(png)));
@@ -280,6 +288,7 @@ mod tests {
             lightmaps: &vec![map; pages],
             bounds: &vec![bound; pages],
             depth: Depth::Float,
+            effort: Effort::Small,
             key: "k",
             preview_png: Some(b"png"),
             glb: b"glb",
@@ -377,6 +386,7 @@ mod tests {
             lightmaps: &[map],
             bounds: &[],
             depth: Depth::Float,
+            effort: Effort::Small,
             key: "k",
             preview_png: Some(b"new png"),
             glb: b"new",
@@ -431,8 +441,15 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let set = OutputSet::new(&dir.path().join("level.glb"), None, None).unwrap();
         write(&set, 1);
-        let files =
-            Files { lightmaps: &[], bounds: &[], depth: Depth::Float, key: "k", preview_png: None, glb: b"new" };
+        let files = Files {
+            lightmaps: &[],
+            bounds: &[],
+            depth: Depth::Float,
+            effort: Effort::Small,
+            key: "k",
+            preview_png: None,
+            glb: b"new",
+        };
         set.write(&files, &mut Report::new(SceneInfo::default()), &Silent).unwrap();
         assert_eq!(names(set.folder()), ["level.bake.json", "level.glb"]);
     }
@@ -444,8 +461,15 @@ mod tests {
         write(&set, 1);
         let before: Vec<_> = names(set.folder()).iter().map(|n| fs::read(set.folder().join(n)).unwrap()).collect();
         let map = Lightmap::new(1, 1, vec![Vec3::ZERO], vec![1.0]).unwrap();
-        let files =
-            Files { lightmaps: &[map], bounds: &[], depth: Depth::Float, key: "k", preview_png: None, glb: b"new" };
+        let files = Files {
+            lightmaps: &[map],
+            bounds: &[],
+            depth: Depth::Float,
+            effort: Effort::Small,
+            key: "k",
+            preview_png: None,
+            glb: b"new",
+        };
         let mut report = Report::new(SceneInfo::default());
         report.quality.insert("rate".into(), f64::NAN);
         assert!(set.write(&files, &mut report, &Silent).is_err());

@@ -17,13 +17,23 @@ pub struct Image8 {
     pub texels: Vec<[u8; 3]>,
 }
 
-/// The bytes of a PNG file; the same image gives the same bytes.
-pub fn encode_png(image: &Image8) -> Result<Vec<u8>, ExportError> {
-    encode_png_with(image, &Silent)
+/// What an encoder spends its time on. The values in the file are the same.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Effort {
+    /// Small files.
+    #[default]
+    Small,
+    /// Files that are written soon: for drafts.
+    Fast,
 }
 
-/// [`encode_png`] that can be cancelled at every row.
-pub fn encode_png_with(image: &Image8, progress: &dyn Progress) -> Result<Vec<u8>, ExportError> {
+/// The bytes of a PNG file; the same image gives the same bytes.
+pub fn encode_png(image: &Image8) -> Result<Vec<u8>, ExportError> {
+    encode_png_with(image, Effort::Small, &Silent)
+}
+
+/// [`encode_png`] with less effort if need be, that can be cancelled at every row.
+pub fn encode_png_with(image: &Image8, effort: Effort, progress: &dyn Progress) -> Result<Vec<u8>, ExportError> {
     if u64::from(image.width) * u64::from(image.height) != image.texels.len() as u64 {
         let fault = format!("{} texels do not make {} × {}", image.texels.len(), image.width, image.height);
         return Err(ExportError::Image { what: "PNG".into(), fault });
@@ -33,8 +43,12 @@ pub fn encode_png_with(image: &Image8, progress: &dyn Progress) -> Result<Vec<u8
     let mut encoder = png::Encoder::new(&mut bytes, image.width, image.height);
     encoder.set_color(png::ColorType::Rgb);
     encoder.set_depth(png::BitDepth::Eight);
-    encoder.set_compression(png::Compression::Balanced);
-    encoder.set_filter(png::Filter::Adaptive);
+    let (compression, filter) = match effort {
+        Effort::Small => (png::Compression::Balanced, png::Filter::Adaptive),
+        Effort::Fast => (png::Compression::Fast, png::Filter::Sub),
+    };
+    encoder.set_compression(compression);
+    encoder.set_filter(filter);
     let mut writer = encoder.write_header().map_err(refused)?;
     let raw: &[u8] = bytemuck::cast_slice(&image.texels);
     let mut rows = writer.stream_writer_with_size(CHUNK).map_err(refused)?;
@@ -55,13 +69,15 @@ mod tests {
     fn a_png_comes_back_and_carries_no_gamma() {
         let texels = (0..6).map(|i| [i * 40, 255 - i, i]).collect::<Vec<_>>();
         let picture = Image8 { width: 3, height: 2, texels };
-        let bytes = encode_png(&picture).unwrap();
-        assert_eq!(bytes, encode_png(&picture).unwrap());
-        let back = image::load_from_memory(&bytes).unwrap().to_rgb8();
-        assert_eq!(back.dimensions(), (3, 2));
-        assert_eq!(back.as_raw().as_slice(), bytemuck::cast_slice::<_, u8>(&picture.texels));
-        for chunk in [b"gAMA", b"sRGB", b"iCCP", b"tIME", b"tEXt"] {
-            assert!(!bytes.windows(4).any(|w| w == chunk));
+        for effort in [Effort::Small, Effort::Fast] {
+            let bytes = encode_png(&picture, effort).unwrap();
+            assert_eq!(bytes, encode_png(&picture, effort).unwrap());
+            let back = image::load_from_memory(&bytes).unwrap().to_rgb8();
+            assert_eq!(back.dimensions(), (3, 2));
+            assert_eq!(back.as_raw().as_slice(), bytemuck::cast_slice::<_, u8>(&picture.texels));
+            for chunk in [b"gAMA", b"sRGB", b"iCCP", b"tIME", b"tEXt"] {
+                assert!(!bytes.windows(4).any(|w| w == chunk));
+            }
         }
     }
 
@@ -80,6 +96,7 @@ mod tests {
 
     #[test]
     fn a_wrong_size_is_refused() {
-        assert!(encode_png(&Image8 { width: 2, height: 2, texels: vec![[0; 3]; 3] }).is_err());
+        let short = Image8 { width: 2, height: 2, texels: vec![[0; 3]; 3] };
+        assert!(encode_png(&short).is_err());
     }
 }

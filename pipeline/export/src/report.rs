@@ -20,6 +20,11 @@ pub const SCHEMA: u32 = 1;
 pub struct Report {
     /// Always [`SCHEMA`].
     pub schema: u32,
+    /// The files are a draft: lit with coarse voxels at few texels, from the unwrap of the real bake, which `luxel watch`
+    /// writes over them. There is no picture and no bound then, and `settings` are those of the bake that is to follow;
+    /// what the draft did instead is in `stages`. Absent where it is false.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub draft: bool,
     /// The scene file as it was named, and its name in messages.
     pub scene: SceneInfo,
     /// Versions of `luxel`, of every stage by its name, and of the `octree file`: what decides whether a stored artefact

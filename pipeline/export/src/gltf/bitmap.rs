@@ -6,11 +6,11 @@
 
 use luxel_scene::{Progress, watched};
 
-use crate::{ExportError, Image8, Lightmap, encode_png_with};
+use crate::{Effort, ExportError, Image8, Lightmap, encode_png_with};
 
 /// A page as a PNG. One byte is E / `intensity` (lux) within one step, intensity / 255; what is brighter is clipped.
 /// Nothing is gamma-encoded.
-pub fn png(map: &Lightmap, intensity: f32, progress: &dyn Progress) -> Result<Vec<u8>, ExportError> {
+pub fn png(map: &Lightmap, intensity: f32, effort: Effort, progress: &dyn Progress) -> Result<Vec<u8>, ExportError> {
     let byte = |e: f32, threshold: f64| (f64::from(e) / f64::from(intensity) * 255.0 + threshold) as u8;
     let places = (0..map.height()).flat_map(|y| (0..map.width()).map(move |x| (x, y)));
     let texel = |(e, (x, y)): (&glam::Vec3, (u32, u32))| {
@@ -22,7 +22,7 @@ pub fn png(map: &Lightmap, intensity: f32, progress: &dyn Progress) -> Result<Ve
     for item in watched(map.irradiance().iter().zip(places), progress) {
         texels.push(texel(item?));
     }
-    encode_png_with(&Image8 { width: map.width(), height: map.height(), texels }, progress)
+    encode_png_with(&Image8 { width: map.width(), height: map.height(), texels }, effort, progress)
 }
 
 /// Interleaved gradient noise (Jimenez 2014, "Next generation post processing in Call of Duty: Advanced Warfare"): any
@@ -46,7 +46,7 @@ mod tests {
     fn a_furnace_is_exact() {
         let pi = std::f32::consts::PI;
         let map = Lightmap::new(4, 4, vec![Vec3::splat(pi); 16], vec![1.0; 16]).unwrap();
-        assert!(decoded(&png(&map, pi, &Silent).unwrap(), pi).iter().all(|e| *e == pi));
+        assert!(decoded(&png(&map, pi, Effort::Small, &Silent).unwrap(), pi).iter().all(|e| *e == pi));
     }
 
     #[test]
@@ -55,7 +55,7 @@ mod tests {
             let (step, n) = (100.0 / 255.0, 64);
             let e = Vec3::new(part, 2.0 + part, 0.0) * step;
             let map = Lightmap::new(n, n, vec![e; (n * n) as usize], vec![1.0; (n * n) as usize]).unwrap();
-            let found = decoded(&png(&map, 100.0, &Silent).unwrap(), 100.0);
+            let found = decoded(&png(&map, 100.0, Effort::Small, &Silent).unwrap(), 100.0);
             for band in 0..3 {
                 let mean = found.iter().skip(band).step_by(3).sum::<f32>() / (n * n) as f32;
                 assert!((mean - e[band]).abs() < 0.02 * step, "{part}: {mean} {}", e[band]);
@@ -69,7 +69,7 @@ mod tests {
         let map = Lightmap::new(20, 20, e.clone(), vec![1.0; 400]).unwrap();
         let flat: Vec<f32> = e.iter().flat_map(|e| e.to_array()).collect();
         for intensity in [399.0, 100.0] {
-            for (d, e) in decoded(&png(&map, intensity, &Silent).unwrap(), intensity).iter().zip(&flat) {
+            for (d, e) in decoded(&png(&map, intensity, Effort::Small, &Silent).unwrap(), intensity).iter().zip(&flat) {
                 assert!((d - e.min(intensity)).abs() <= intensity / 254.0, "{d} {e}");
             }
         }
@@ -80,7 +80,11 @@ mod tests {
         for e in [0.0, 1e-44, f32::MIN_POSITIVE, f32::MAX] {
             let map = Lightmap::new(1, 1, vec![Vec3::splat(e)], vec![1.0]).unwrap();
             for intensity in [f32::MIN_POSITIVE, 1.0, f32::MAX] {
-                assert!(decoded(&png(&map, intensity, &Silent).unwrap(), intensity).iter().all(|d| d.is_finite()));
+                assert!(
+                    decoded(&png(&map, intensity, Effort::Small, &Silent).unwrap(), intensity)
+                        .iter()
+                        .all(|d| d.is_finite())
+                );
             }
         }
     }

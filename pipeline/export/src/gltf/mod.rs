@@ -36,7 +36,7 @@ use luxel_scene::{Notice, Progress, Scene};
 pub use original::Original;
 
 use self::{draft::Draft, exposure::Pictures, materials::Materials, nodes::Nodes, pages::PageTexture};
-use crate::{ExportError, Lightmap};
+use crate::{Effort, ExportError, Lightmap};
 
 /// A finished .glb.
 #[derive(Clone, Debug)]
@@ -67,6 +67,7 @@ impl Original {
         atlas: &Atlas,
         lightmaps: &[Lightmap],
         names: &[String],
+        effort: Effort,
         progress: &dyn Progress,
     ) -> Result<Glb, ExportError> {
         if lightmaps.len() != atlas.pages.len() || names.len() != atlas.pages.len() {
@@ -76,7 +77,7 @@ impl Original {
         let pictures = Pictures::new(atlas, lightmaps, progress)?;
         let texture = |picture: &exposure::Picture| {
             let page = picture.page as usize;
-            let png = bitmap::png(&lightmaps[page], picture.intensity, progress)?;
+            let png = bitmap::png(&lightmaps[page], picture.intensity, effort, progress)?;
             Ok(PageTexture { picture: *picture, png, file: names[page].clone() })
         };
         let textures = pictures.list.iter().map(texture).collect::<Result<_, ExportError>>()?;

@@ -5,6 +5,7 @@ use serde_json::json;
 
 use super::super::Original;
 use super::kit::{File, import, lightmaps, names, split};
+use crate::Effort;
 
 fn victim() -> Vec<u8> {
     let mut file = File::new();
@@ -47,7 +48,7 @@ proptest! {
         }
         std::fs::write(&path, &bytes).unwrap();
         if let Ok(original) = Original::read(&path) {
-            let _ = original.lightmapped(&scene, &atlas, &lightmaps(2), &names(2), &luxel_scene::Silent);
+            let _ = original.lightmapped(&scene, &atlas, &lightmaps(2), &names(2), Effort::Small, &luxel_scene::Silent);
         }
     }
 }
@@ -91,7 +92,7 @@ fn a_list_of_instances_without_data_is_not_believed() {
     file.root["nodes"][0]["extensions"] = json!({"EXT_mesh_gpu_instancing": {"attributes": {"TRANSLATION": at}}});
     let original = file.read();
     let error = original
-        .lightmapped(&scene, &split(&scene, 1), &lightmaps(1), &names(1), &luxel_scene::Silent)
+        .lightmapped(&scene, &split(&scene, 1), &lightmaps(1), &names(1), Effort::Small, &luxel_scene::Silent)
         .unwrap_err()
         .to_string();
     assert!(error.contains("4000000000 instances"), "{error}");

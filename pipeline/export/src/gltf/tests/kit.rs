@@ -12,7 +12,7 @@ use super::super::{
     json::{extension, list, number},
     original::Original,
 };
-use crate::{Glb, Lightmap};
+use crate::{Effort, Glb, Lightmap};
 
 /// A glTF file in the making.
 pub struct File {
@@ -216,7 +216,7 @@ pub fn names(pages: u32) -> Vec<String> {
 /// Bakes the file with a given atlas.
 pub fn bake(original: &Original, scene: &Scene, atlas: &Atlas) -> Glb {
     let pages = atlas.pages.len() as u32;
-    original.lightmapped(scene, atlas, &lightmaps(pages), &names(pages), &luxel_scene::Silent).unwrap()
+    original.lightmapped(scene, atlas, &lightmaps(pages), &names(pages), Effort::Small, &luxel_scene::Silent).unwrap()
 }
 
 /// Raw elements of an accessor.

@@ -6,6 +6,7 @@ use serde_json::{Value, json};
 
 use super::super::{Original, glb_bytes};
 use super::kit::{File, bake, import, lightmaps, names, raw, reread, split};
+use crate::Effort;
 
 #[test]
 fn numbers_texts_and_strangers_survive_byte_by_byte() {
@@ -120,7 +121,8 @@ fn files_and_data_uris_are_taken_in() {
     file.push("meshes", json!({"primitives": [quad]}));
     file.node(json!({"mesh": 0}));
     let dir = tempfile::tempdir().unwrap();
-    let png = crate::encode_png(&crate::Image8 { width: 1, height: 1, texels: vec![[1, 2, 3]] }).unwrap();
+    let png =
+        crate::encode_png(&crate::Image8 { width: 1, height: 1, texels: vec![[1, 2, 3]] }, Effort::Small).unwrap();
     fs::create_dir(dir.path().join("my textures")).unwrap();
     fs::write(dir.path().join("my textures/a b.png"), &png).unwrap();
     let base64 = |bytes: &[u8]| base64::Engine::encode(&base64::engine::general_purpose::STANDARD, bytes);
@@ -173,7 +175,10 @@ fn a_file_that_changed_under_the_bake_is_refused() {
     let mut scene = import(&original);
     let atlas = split(&scene, 1);
     let refused = |scene: &luxel_scene::Scene| {
-        original.lightmapped(scene, &atlas, &lightmaps(1), &names(1), &luxel_scene::Silent).unwrap_err().to_string()
+        original
+            .lightmapped(scene, &atlas, &lightmaps(1), &names(1), Effort::Small, &luxel_scene::Silent)
+            .unwrap_err()
+            .to_string()
     };
     scene.inputs.push(luxel_scene::InputFile { path: original.path.clone(), digest: [0; 32] });
     assert!(refused(&scene).contains("has changed"));
@@ -182,7 +187,7 @@ fn a_file_that_changed_under_the_bake_is_refused() {
         (scene.instances[0].node, scene.instances[0].gpu_instance) = (node, gpu_instance);
         assert!(refused(&scene).contains("node "), "{}", refused(&scene));
     }
-    assert!(original.lightmapped(&scene, &atlas, &[], &[], &luxel_scene::Silent).is_err());
+    assert!(original.lightmapped(&scene, &atlas, &[], &[], Effort::Small, &luxel_scene::Silent).is_err());
 }
 
 #[test]
