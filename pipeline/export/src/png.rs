@@ -70,8 +70,8 @@ mod tests {
         let texels = (0..6).map(|i| [i * 40, 255 - i, i]).collect::<Vec<_>>();
         let picture = Image8 { width: 3, height: 2, texels };
         for effort in [Effort::Small, Effort::Fast] {
-            let bytes = encode_png(&picture, effort).unwrap();
-            assert_eq!(bytes, encode_png(&picture, effort).unwrap());
+            let bytes = encode_png_with(&picture, effort, &Silent).unwrap();
+            assert_eq!(bytes, encode_png_with(&picture, effort, &Silent).unwrap());
             let back = image::load_from_memory(&bytes).unwrap().to_rgb8();
             assert_eq!(back.dimensions(), (3, 2));
             assert_eq!(back.as_raw().as_slice(), bytemuck::cast_slice::<_, u8>(&picture.texels));
