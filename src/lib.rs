@@ -1,7 +1,8 @@
 //! luxel bakes light into glTF levels.
 //!
-//! [`bake`] goes from a scene file to files, [`bake_scene`] from a [`Scene`](luxel_scene::Scene) to images in memory.
-//! Both run the same chain, each link of which is a pure function of its input and of the settings it reads:
+//! [`bake`] goes from a scene file to files, [`bake_drafted`] with a draft on the way, [`export()`] with other weights of
+//! its light groups, and [`bake_scene`] from a [`Scene`](luxel_scene::Scene) to images in memory. All run the same chain,
+//! each link of which is a pure function of its input and of the settings it reads:
 //!
 //! | stage | input → output | made anew when | left out when |
 //! |---|---|---|---|
@@ -22,7 +23,8 @@
 //! | export | everything → .exr, .glb, .png, .json | any of the above | never |
 //!
 //! [`plan`] decides what is left out before anything runs, and the report tells it. No stage reads a clock or the
-//! number of threads to decide a value; only import, cache and export touch files.
+//! number of threads to decide a value. Import and export touch files, and every stage that costs time leaves an artefact
+//! in the [`store`], under the digest of what it reads, from which the next bake takes it.
 
 pub mod bake;
 mod content;
