@@ -19,8 +19,8 @@ const LARGEST: usize = 1 << 16;
 /// Items that are read at a time.
 const BLOCK: usize = 1 << 12;
 
-/// Writes facts.
-pub fn put_head(out: &mut impl Write, head: &impl Serialize) -> io::Result<()> {
+/// Writes a structure: facts ahead of arrays, or a whole body.
+pub fn put_value(out: &mut impl Write, head: &impl Serialize) -> io::Result<()> {
     match encode_into_std_write(head, out, bincode::config::standard()) {
         Ok(_) => Ok(()),
         Err(EncodeError::Io { inner, .. }) => Err(inner),
@@ -31,11 +31,6 @@ pub fn put_head(out: &mut impl Write, head: &impl Serialize) -> io::Result<()> {
 /// Reads facts, and nothing of what follows them.
 pub fn head<T: DeserializeOwned>(input: &mut impl Read) -> Result<T, String> {
     decode_from_std_read(input, bincode::config::standard().with_limit::<LARGEST>()).map_err(|e| e.to_string())
-}
-
-/// Writes a structure of any size.
-pub fn put_body(out: &mut impl Write, body: &impl Serialize) -> io::Result<()> {
-    put_head(out, body)
 }
 
 /// Reads a structure of any size that fills the rest of the input.

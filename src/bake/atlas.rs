@@ -6,7 +6,7 @@ use luxel_export::report::StageState;
 use luxel_scene::{Mesh, Progress, Scene};
 
 use super::Baking;
-use super::artefact::{body, put_body};
+use super::artefact::{body, put_value};
 use super::journal::{Counters, Journal};
 use super::{keys, report};
 use crate::Error;
@@ -107,7 +107,7 @@ fn write_unwraps(
         progress.check()?;
         let charts = unwraps.get(&key).filter(|charts| !stored.contains(&key) && charts.is_reproducible());
         if let Some(charts) = charts {
-            store.put(Kind::Unwrap, &keys::unwrap(mesh), |out| put_body(out, charts));
+            store.put(Kind::Unwrap, &keys::unwrap(mesh), |out| put_value(out, charts));
         }
     }
     Ok(())
@@ -125,7 +125,7 @@ fn placement(baking: &Baking, packing: &Packing, progress: &dyn Progress) -> Res
     }
     let placement = packing.place(progress)?;
     if let Some(store) = baking.store {
-        store.put(Kind::Layout, key, |out| put_body(out, &placement));
+        store.put(Kind::Layout, key, |out| put_value(out, &placement));
     }
     Ok((placement, false))
 }

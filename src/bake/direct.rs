@@ -46,30 +46,9 @@ const FINER: f32 = 0.5;
 /// Factor on the limit of a cut: the finer threshold takes more clusters, and the limit must not undo it.
 const LONGER: u32 = 2;
 
-/// Makes the gatherer of direct light and works with it.
+/// Makes the gatherer of direct light and works with it. Where receivers are far apart, no two of them share what stands
+/// between them and a light: a shadow ray to each of its points is quicker then than shafts.
 pub fn with<T>(
-    rays: &Rays,
-    emitters: &Emitters,
-    settings: &Settings,
-    progress: &dyn Progress,
-    work: impl FnOnce(&dyn Gather) -> Result<T, Error>,
-) -> Result<T, Error> {
-    seen(rays, emitters, settings, Visibility::Shafts, progress, work)
-}
-
-/// The same for receivers that are far apart, so that no two of them share what stands between them and a light: a
-/// shadow ray to each of its points is quicker then.
-pub fn with_few<T>(
-    rays: &Rays,
-    emitters: &Emitters,
-    settings: &Settings,
-    progress: &dyn Progress,
-    work: impl FnOnce(&dyn Gather) -> Result<T, Error>,
-) -> Result<T, Error> {
-    seen(rays, emitters, settings, Visibility::Rays, progress, work)
-}
-
-fn seen<T>(
     rays: &Rays,
     emitters: &Emitters,
     settings: &Settings,
@@ -166,7 +145,9 @@ mod tests {
             })
             .collect();
         let settings = Settings::default();
-        let found = with(&rays, &emitters, &settings, &Silent, |g| Ok(g.gather(&receivers, &Silent)?)).unwrap();
+        let found =
+            with(&rays, &emitters, &settings, Visibility::Shafts, &Silent, |g| Ok(g.gather(&receivers, &Silent)?))
+                .unwrap();
         let exact = Direct::new(&rays, &emitters, DirectSettings::default()).gather(&receivers, &Silent).unwrap();
         let (mut square, mut bias, mut mean) = (0.0, 0.0, 0.0);
         for (a, b) in found.iter().zip(&exact) {

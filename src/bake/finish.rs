@@ -10,7 +10,7 @@ use luxel_scene::{Progress, Scene};
 use luxel_transport::Rgb;
 use serde::{Deserialize, Serialize};
 
-use super::artefact::{head, put_head, put_slice, slice};
+use super::artefact::{head, put_slice, put_value, slice};
 use super::journal::{Counters, Journal};
 use super::light::{Sums, TexelLight};
 use super::record::Record;
@@ -135,7 +135,7 @@ pub fn run(
 }
 
 fn write(out: &mut impl Write, summary: &Summary, lightmaps: &[Lightmap], bounds: &[BoundMap]) -> io::Result<()> {
-    put_head(out, summary)?;
+    put_value(out, summary)?;
     for lightmap in lightmaps {
         put_slice(out, lightmap.irradiance())?;
         put_slice(out, lightmap.coverage())?;

@@ -23,7 +23,7 @@ use luxel_scene::{Scene, Sky};
 use luxel_transport::{
     Rgb,
     geometry::Geometry,
-    lights::{Emitters, Source},
+    lights::{Emitters, Source, sane},
 };
 
 use super::direct;
@@ -189,14 +189,6 @@ fn normalise_sky(sky: &mut Sky) -> Rgb {
         Sky::Image(image) => Rgb::splat(std::mem::replace(&mut image.strength, 1.0)),
     }
 }
-
-/// What is no light counts as dark, as it does in transport.
-fn sane(light: Rgb) -> Rgb {
-    Rgb::from_array(light.to_array().map(|x| if x.is_finite() { x.clamp(0.0, BRIGHTEST) } else { 0.0 }))
-}
-
-/// As bright as a source may be.
-const BRIGHTEST: f32 = 1e30;
 
 #[cfg(test)]
 mod tests {

@@ -102,19 +102,19 @@ impl Inputs {
     }
 }
 
-/// Identity of a result: luxel's version and that of the `stages` that made it, all bytes that were read, and the
-/// settings that `matters` names.
-pub fn key(scene: &Scene, settings: &Settings, stages: &[Stage], matters: impl Fn(&str) -> bool) -> Key {
+/// Identity of a result: luxel's version and those of its stages, all bytes that were read, and the settings that
+/// matter.
+pub fn key(scene: &Scene, settings: &Settings) -> Key {
     let mut hasher = blake3::Hasher::new();
     hasher.update(env!("CARGO_PKG_VERSION").as_bytes());
-    for stage in stages {
+    for stage in Stage::ALL {
         hasher.update(stage.name().as_bytes());
         hasher.update(&stage.version().to_le_bytes());
     }
     for input in &scene.inputs {
         hasher.update(&input.digest);
     }
-    for field in FIELDS.iter().filter(|f| matters(f.name)) {
+    for field in FIELDS.iter().filter(|f| super::matters(f.name)) {
         let value = match &settings.sky {
             // Its bytes are among the inputs; by which path they were found makes no difference.
             SkySetting::Image(_) if field.name == "sky" => "image".into(),
@@ -142,12 +142,12 @@ mod tests {
             let path = folder.path().join(name);
             exr::prelude::write_rgb_file(&path, 8, 4, |_, _| (radiance, 1.0, 1.0)).unwrap();
             let settings = Settings { sky: SkySetting::Image(path), ..Settings::default() };
-            key(&load(&scene, &settings, &Silent).unwrap(), &settings, &Stage::ALL, |_| true)
+            key(&load(&scene, &settings, &Silent).unwrap(), &settings)
         };
         let noon = key_of("noon.exr", 1.0);
         assert_eq!(key_of("twelve.exr", 1.0), noon);
         assert_ne!(key_of("noon.exr", 2.0), noon, "other light is another input");
         let none = Settings::default();
-        assert_ne!(key(&load(&scene, &none, &Silent).unwrap(), &none, &Stage::ALL, |_| true), noon);
+        assert_ne!(key(&load(&scene, &none, &Silent).unwrap(), &none), noon);
     }
 }

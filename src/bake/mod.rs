@@ -216,7 +216,7 @@ fn run(
     progress.check()?;
     let inputs = input::Inputs::new(&request.scene, &scene, &original);
     progress.check()?;
-    let key = input::key(&scene, settings, &Stage::ALL, matters);
+    let key = input::key(&scene, settings);
     let keys = Keys::new(&scene, &lighting, settings, &plan);
     journal.cause = cause::of(&request.outputs, &keys, &request.settings);
     progress.check()?;

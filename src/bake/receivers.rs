@@ -21,7 +21,7 @@ use luxel_transport::{
 };
 use rayon::prelude::*;
 
-use super::artefact::{head, put_head, put_slice, slice};
+use super::artefact::{head, put_slice, put_value, slice};
 use super::journal::{Counters, Journal};
 use super::tracer::Tracer;
 use crate::Error;
@@ -304,7 +304,7 @@ struct Elsewhere {
 type Cleared = (Vec<(usize, Receiver)>, Vec<(usize, Receiver)>, Vec<bool>);
 
 fn write(out: &mut impl Write, sides: &[Side], counters: &Counters) -> io::Result<()> {
-    put_head(out, counters)?;
+    put_value(out, counters)?;
     for side in sides {
         for list in [&side.moved, &side.beyond] {
             let packed = |(i, r): &(usize, Receiver)| Elsewhere {

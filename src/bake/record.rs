@@ -97,7 +97,7 @@ impl Record {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::bake::artefact::{head, put_head};
+    use crate::bake::artefact::{head, put_value};
 
     fn record() -> Record {
         let solve = SolveReport { discrete_rays: 7, tail: 0.25, ..SolveReport::default() };
@@ -108,7 +108,7 @@ mod tests {
     #[test]
     fn a_record_comes_back_with_what_follows_it() {
         let mut bytes = Vec::new();
-        put_head(&mut bytes, &record()).unwrap();
+        put_value(&mut bytes, &record()).unwrap();
         let length = bytes.len();
         bytes.extend(b"octree");
         let mut rest = &bytes[..];

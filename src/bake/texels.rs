@@ -8,12 +8,13 @@ use std::io::{self, Write};
 use luxel_scene::Progress;
 use luxel_transport::{
     Rgb,
+    direct::Visibility,
     gather::{Field, FinalGather, Gather, Lightcuts, Lookup, lightcuts, nodes::NodeSettings},
     sky_light::{self, SkyLight, SkySettings},
 };
 
 use super::Baking;
-use super::artefact::{self, head, put_head, put_slice};
+use super::artefact::{self, head, put_slice, put_value};
 use super::direct;
 use super::groups::{Group, SKY};
 use super::journal::{Counters, Journal};
@@ -26,7 +27,7 @@ use super::transport::Transport;
 use crate::Error;
 use crate::plan::Stage;
 use crate::settings::{DoubleSided, Gatherer, Settings};
-use crate::store::{Kind, Reader};
+use crate::store::{Key, Kind, Reader};
 
 /// What a gather found on one side of the surfaces, in the order of its receivers.
 #[derive(Clone, Debug, Default)]
@@ -78,7 +79,7 @@ fn direct_layers(
         journal.left_out_unless_run(plan, Stage::Direct);
         return Ok(dark(receivers, false));
     }
-    if let Some(layers) = stored_direct(baking, receivers, keys, journal) {
+    if let Some(layers) = stored_layers(baking, receivers, (Kind::Direct, &keys.direct), Stage::Direct, journal) {
         return Ok(layers);
     }
     baking.may_make(&group.name)?;
@@ -86,26 +87,28 @@ fn direct_layers(
     let emitters = group.emitters(transport.emitters(tracer.geometry));
     journal.always(Stage::Direct, plan.reason(Stage::Direct), Some(receivers.len()), |progress, counters| {
         let mut found = dark(receivers, false);
-        direct::with(rays, &emitters, settings, progress, |direct| {
+        direct::with(rays, &emitters, settings, Visibility::Shafts, progress, |direct| {
             gather(receivers, direct, None, &mut found, progress, counters)
         })?;
         baking.put(Kind::Direct, &keys.direct, progress, |out| {
-            put_head(out, counters)?;
+            put_value(out, counters)?;
             write(out, &found)
         })?;
         Ok(found)
     })
 }
 
-fn stored_direct(
+/// What a stage without bounds gathered, if it is stored.
+fn stored_layers(
     baking: &Baking,
     receivers: &Receivers,
-    keys: &GroupKeys,
+    (kind, key): (Kind, &Key),
+    stage: Stage,
     journal: &mut Journal,
 ) -> Option<Vec<Layer>> {
     let stored = |body: &mut Reader| Ok((head(body)?, layers(body, receivers, false)?));
-    let (counters, layers) = baking.store?.get(Kind::Direct, &keys.direct, stored)?;
-    journal.reused(baking.plan, Stage::Direct, counters);
+    let (counters, layers) = baking.store?.get(kind, key, stored)?;
+    journal.reused(baking.plan, stage, counters);
     Some(layers)
 }
 
@@ -116,7 +119,8 @@ pub fn stored_front(
     keys: &GroupKeys,
     journal: &mut Journal,
 ) -> Option<Vec<Rgb>> {
-    stored_direct(baking, receivers, keys, journal)?.into_iter().next().map(|layer| layer.irradiance)
+    let stored = stored_layers(baking, receivers, (Kind::Direct, &keys.direct), Stage::Direct, journal)?;
+    stored.into_iter().next().map(|layer| layer.irradiance)
 }
 
 /// Light of the unit sky, straight from it.
@@ -131,9 +135,7 @@ fn sky_layers(
         journal.left_out_unless_run(plan, Stage::Sky);
         return Ok(Vec::new());
     }
-    let stored = |body: &mut Reader| Ok((head(body)?, layers(body, receivers, false)?));
-    if let Some((counters, layers)) = baking.store.and_then(|store| store.get(Kind::Sky, &keys.sky, stored)) {
-        journal.reused(plan, Stage::Sky, counters);
+    if let Some(layers) = stored_layers(baking, receivers, (Kind::Sky, &keys.sky), Stage::Sky, journal) {
         return Ok(layers);
     }
     baking.may_make(SKY)?;
@@ -146,7 +148,7 @@ fn sky_layers(
         }
         gather(receivers, &sky_light::Smooth(&sky), nodes(settings), &mut found, progress, counters)?;
         baking.put(Kind::Sky, &keys.sky, progress, |out| {
-            put_head(out, counters)?;
+            put_value(out, counters)?;
             write(out, &found)
         })?;
         Ok(found)
@@ -199,8 +201,8 @@ fn reflected_layers(
             }
         }
         baking.put(Kind::Gather, key, progress, |out| {
-            put_head(out, &record)?;
-            put_head(out, counters)?;
+            put_value(out, &record)?;
+            put_value(out, counters)?;
             write(out, &found)
         })?;
         Ok(found)

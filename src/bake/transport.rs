@@ -3,7 +3,9 @@
 use std::rc::Rc;
 
 use luxel_transport::{
-    Rgb, directions,
+    Rgb,
+    direct::Visibility,
+    directions,
     gather::{Field, Gather, refresh},
     geometry::Geometry,
     lights::Emitters,
@@ -16,7 +18,7 @@ use luxel_transport::{
 };
 
 use super::Baking;
-use super::artefact::{self, head, put_head, put_slice};
+use super::artefact::{self, head, put_slice, put_value};
 use super::direct;
 use super::journal::{Counters, Journal};
 use super::record::Record;
@@ -136,7 +138,7 @@ impl Transport {
             progress.advance(1);
             progress.check()?;
             let written = baking.put(Kind::Solution, key, progress, |out| {
-                put_head(out, &record)?;
+                put_value(out, &record)?;
                 octree.write(out)
             })?;
             counters.extend(written.map(|bytes| ("bytes".into(), bytes)));
@@ -239,7 +241,7 @@ impl Transport {
                 let dark = vec![Rgb::ZERO; surfels.list.len()];
                 let dark = Solution { direct: dark.clone(), indirect: dark };
                 baking.put(Kind::Surfels, &keys.surfels, progress, |out| {
-                    put_head(out, counters)?;
+                    put_value(out, counters)?;
                     Octree::new(&surfels, &dark).write(out)
                 })?;
             }
@@ -281,17 +283,14 @@ impl Transport {
                 shoot::photons(rays, &emitters, surfels, how, progress)?
             } else {
                 let exact = |direct: &dyn Gather| Ok(shoot::exact(geometry, surfels, direct, points, progress)?);
-                if self.is_coarse {
-                    direct::with_few(rays, &emitters, settings, progress, exact)?
-                } else {
-                    direct::with(rays, &emitters, settings, progress, exact)?
-                }
+                let visibility = if self.is_coarse { Visibility::Rays } else { Visibility::Shafts };
+                direct::with(rays, &emitters, settings, visibility, progress, exact)?
             };
             counters.insert("primary_photons".into(), shot.primary_photons);
             counters.insert("direct_photons".into(), shot.direct_photons);
             counters.insert("continuous_rays".into(), shot.rays);
             baking.put(Kind::Shoot, key, progress, |out| {
-                put_head(out, counters)?;
+                put_value(out, counters)?;
                 put_slice(out, &shot.irradiance)
             })?;
             Ok(shot.irradiance)

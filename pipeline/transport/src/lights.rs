@@ -94,7 +94,7 @@ impl Emitters {
 pub(crate) const BRIGHTEST: f32 = 1e30;
 
 /// Negative or non-finite bands become dark, absurd ones [`BRIGHTEST`].
-pub(crate) fn sane(light: Vec3) -> Rgb {
+pub fn sane(light: Vec3) -> Rgb {
     Rgb::from_array(light.to_array().map(|x| if x.is_finite() { x.clamp(0.0, BRIGHTEST) } else { 0.0 }))
 }
 

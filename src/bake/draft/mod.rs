@@ -22,6 +22,7 @@ use luxel_atlas::{Atlas, AtlasReport};
 use luxel_export::Effort;
 use luxel_transport::{
     Rgb,
+    direct::Visibility,
     gather::{Field, Gather, Lookup},
     sky_light::{self, SkyLight, SkySettings},
 };
@@ -219,7 +220,7 @@ impl<'a> Sparse<'a> {
         let (nodes, sum) = (&self.nodes, &mut self.direct);
         journal.always(Stage::Direct, own.plan.reason(Stage::Direct), Some(nodes.len()), |progress, counters| {
             let to = |direct: &dyn Gather| nodes.gather(direct, group.factor, sum, progress, counters);
-            direct::with_few(rays, &emitters, own.settings, progress, to)
+            direct::with(rays, &emitters, own.settings, Visibility::Rays, progress, to)
         })
     }
 
