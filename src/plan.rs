@@ -176,6 +176,18 @@ impl Plan {
         settings.bound && settings.states_bound() && self.runs(Stage::Gather)
     }
 
+    /// Takes the names of the light groups that are baked apart: the sum of some is held beside the next.
+    pub fn part(&mut self, groups: Vec<String>, settings: &Settings) {
+        self.light_groups = groups;
+        if self.runs(Stage::Unwrap) {
+            self.memory.texels = self.texel_bytes(pixels(&self.facts, settings), settings);
+        }
+    }
+
+    fn texel_bytes(&self, pixels: u64, settings: &Settings) -> u64 {
+        texel_bytes(pixels, settings, self.light_groups.len(), &|stage| self.runs(stage))
+    }
+
     /// Counts the bytes of the files that the export writes again.
     pub fn weigh(&mut self, file_bytes: u64) {
         self.memory.files = file_bytes.saturating_mul(COPIES);
@@ -188,7 +200,7 @@ impl Plan {
         let pages = (self.facts.receivers as u64).min(AtlasSettings::default().max_pages.into());
         let pixels = pages.saturating_mul(side * side);
         Memory {
-            texels: self.memory.texels.min(texel_bytes(pixels, settings, &|stage| self.runs(stage))),
+            texels: self.memory.texels.min(self.texel_bytes(pixels, settings)),
             images: self.memory.images.min(image_bytes(pixels)),
             ..self.memory
         }
@@ -397,6 +409,9 @@ const TEXEL: u64 = 38;
 const CHARTED: u64 = 16;
 /// Per texel: the stated bound, and its page.
 const BOUND: u64 = 8;
+/// Per texel while the light of one group of several is found: the sum of those before, which is gone when pages are
+/// made; so it counts beside them only where light is interpolated, which takes as much as they do.
+const GROUPS: u64 = 30;
 /// Per pixel of a page: what is beside the texels while it is finished.
 const PIXEL: u64 = 15;
 /// Times that the bytes of the scene's files exist when they are written again: as read, laid out, and as a .glb.
@@ -406,15 +421,7 @@ const FIXED: u64 = 16 << 20;
 
 /// Figures beyond all measure saturate: what asks for that much is refused by its stage, not by the estimate.
 fn memory(facts: &Facts, scene: &Scene, settings: &Settings, runs: &dyn Fn(Stage) -> bool) -> Memory {
-    let side = u64::from(settings.size.0);
-    // Whole atlases, of which charts cover about three quarters.
-    let pixels = match settings.texel_density.0 {
-        Some(density) => {
-            let texels = facts.area * f64::from(density) * f64::from(density) / 0.75;
-            (texels as u64).div_ceil(side * side).max(1).saturating_mul(side * side)
-        }
-        None => side * side,
-    };
+    let pixels = pixels(facts, settings);
     let surfels = match settings.voxels {
         Voxels::Budget(n) => u64::from(n),
         Voxels::Side(n) => patches(facts, longest_side(scene) / f64::from(n)),
@@ -424,9 +431,21 @@ fn memory(facts: &Facts, scene: &Scene, settings: &Settings, runs: &dyn Fn(Stage
     Memory {
         rays: when(Stage::Rays, (facts.triangles as u64).saturating_mul(RAY_TRIANGLE)),
         surfels: when(Stage::Surfels, surfels.saturating_mul(surfel_bytes(facts, settings))),
-        texels: when(Stage::Unwrap, texel_bytes(pixels, settings, runs)),
+        texels: when(Stage::Unwrap, texel_bytes(pixels, settings, 1, runs)),
         images: when(Stage::Finish, image_bytes(pixels)),
         files: 0,
+    }
+}
+
+/// Pixels of whole pages, of which charts cover about three quarters.
+fn pixels(facts: &Facts, settings: &Settings) -> u64 {
+    let side = u64::from(settings.size.0);
+    match settings.texel_density.0 {
+        Some(density) => {
+            let texels = facts.area * f64::from(density) * f64::from(density) / 0.75;
+            (texels as u64).div_ceil(side * side).max(1).saturating_mul(side * side)
+        }
+        None => side * side,
     }
 }
 
@@ -439,10 +458,13 @@ fn surfel_bytes(facts: &Facts, settings: &Settings) -> u64 {
 }
 
 /// Nine tenths of the pixels of a page are texels, partly covered ones included.
-fn texel_bytes(pixels: u64, settings: &Settings, runs: &dyn Fn(Stage) -> bool) -> u64 {
+fn texel_bytes(pixels: u64, settings: &Settings, groups: usize, runs: &dyn Fn(Stage) -> bool) -> u64 {
     let charted = runs(Stage::Sky) || runs(Stage::Gather) && settings.gatherer() != Gatherer::Lookup;
     let bound = settings.bound && settings.states_bound() && runs(Stage::Gather);
-    let each = TEXEL + if charted { CHARTED } else { 0 } + if bound { BOUND } else { 0 };
+    let parted = groups > 1 && (runs(Stage::Direct) || runs(Stage::Sky) || runs(Stage::Gather));
+    let sum = if charted { GROUPS } else { GROUPS - PIXEL };
+    let extras = [(charted, CHARTED), (bound, BOUND), (parted, sum)];
+    let each = TEXEL + extras.into_iter().filter_map(|(is, bytes)| is.then_some(bytes)).sum::<u64>();
     (pixels / 10 * 9).saturating_mul(each)
 }
 
@@ -550,7 +572,7 @@ mod tests {
         let of = |density| {
             let settings = Settings { texel_density: OrAuto(Some(density)), ..Settings::default() };
             let plan = Plan::new(&scene, &settings);
-            let pages = texel_bytes(2 << 20, &settings, &|stage| plan.runs(stage));
+            let pages = plan.texel_bytes(2 << 20, &settings);
             (plan.least_memory(&settings), plan.memory, pages)
         };
         let (least, estimate, _) = of(1.0);

@@ -6,16 +6,15 @@ mod support;
 
 use std::sync::{Mutex, MutexGuard};
 
-use glam::Vec3;
+use glam::{DVec3, Vec3};
 use heap::peak_bytes;
 use luxel::Request;
-use luxel::plan::Plan;
 use luxel::settings::{
     GatherMode, Preset, Resolved, Settings,
     value::{Samples, Texels, Threads, Voxels},
 };
 use luxel_export::{OutputSet, report::StageState};
-use luxel_scene::{Progress, Scene, Silent, build::Builder};
+use luxel_scene::{Light, LightKind, Progress, Scene, Silent, build::Builder};
 use luxel_transport::{
     Rgb,
     gather::{Field, Lightcuts, lightcuts},
@@ -251,16 +250,18 @@ fn a_whole_bake_and_its_plan() {
     let _alone = alone();
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("s.glb");
-    let scene = luxel_assets::cornell();
-    std::fs::write(&path, luxel_assets::glb::write(&scene).expect("a scene")).expect("a file");
+    let save = |scene: &Scene| {
+        std::fs::write(&path, luxel_assets::glb::write(scene).expect("a scene")).expect("a file");
+    };
     let bake = |settings: Settings| {
-        let plan = Plan::new(&scene, &settings);
+        let resolved = Resolved { settings, ..Resolved::default() };
+        let plan = luxel::plan_file(&path, None, &resolved, &Silent).expect("a plan");
         // None finds another's stored light.
         let folder = tempfile::tempdir_in(folder.path()).expect("a folder");
         let request = Request {
             scene: path.clone(),
             outputs: OutputSet::new(&path, Some(folder.path()), None).expect("a place"),
-            settings: Resolved { settings, ..Resolved::default() },
+            settings: resolved,
             worker: None,
             store: Default::default(),
         };
@@ -270,6 +271,8 @@ fn a_whole_bake_and_its_plan() {
         let peak = laps.0.lock().expect("laps").iter().map(|lap| lap.1).max().unwrap_or_default();
         (baked.report.counters["texels"] as f64, laps, (peak - before) as f64, plan.memory.total() as f64)
     };
+    let mut scene = luxel_assets::cornell();
+    save(&scene);
     let (small, large) = (bake(quick(512)), bake(quick(1024)));
     let most = dearest("file to files", (small.0, &small.1), (large.0, &large.1));
     assert!(most.1 < 64.0, "{most:?}");
@@ -281,13 +284,28 @@ fn a_whole_bake_and_its_plan() {
     }
 
     // Interpolation between nodes holds whole charts, here of up to a sixth of all texels; larger atlases have larger ones.
+    let cuts = |bound, size| Settings { bound, gather: GatherMode::Lightcuts, directions: Samples(16), ..quick(size) };
     for (what, bound) in [("cuts", false), ("cuts with bounds", true)] {
-        let cuts = |size| Settings { bound, gather: GatherMode::Lightcuts, directions: Samples(16), ..quick(size) };
+        let cuts = |size| cuts(bound, size);
         let (small, large) = (bake(cuts(256)), bake(cuts(512)));
         let most = dearest(what, (small.0, &small.1), (large.0, &large.1));
         let (found, stated) = (large.2, large.3);
         println!("{:.1} MiB where the plan estimates {:.1}", found / 1048576.0, stated / 1048576.0);
         assert!(most.1 < 72.0 && found < stated, "{most:?}, {found} and {stated}");
+    }
+
+    let position = DVec3::new(0.2, 0.3, 0.2);
+    let kind = LightKind::Point { position, range: None, radius: 0.0 };
+    scene.lights.push(Light { name: "bulb".into(), node: 90, group: "bulb".into(), kind, intensity: Vec3::ONE });
+    save(&scene);
+    for (what, make) in
+        [("two groups", &quick as &dyn Fn(u32) -> Settings), ("with cuts and bounds", &|size| cuts(true, size))]
+    {
+        let (small, large) = (bake(make(512)), bake(make(1024)));
+        let most = dearest(what, (small.0, &small.1), (large.0, &large.1));
+        let (found, stated) = (large.2, large.3);
+        println!("{:.1} MiB where the plan estimates {:.1}", found / 1048576.0, stated / 1048576.0);
+        assert!(most.1 > 64.0 && found < stated && stated < 1.25 * found, "{most:?}, {found} and {stated}");
     }
 }
 

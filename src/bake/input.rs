@@ -24,7 +24,7 @@ pub fn open(path: &Path, settings: &Settings, progress: &dyn Progress) -> Result
     original.check_unchanged(&scene.inputs)?;
     let lighting = Lighting::part(&mut scene, settings);
     let mut plan = Plan::new(&scene, settings);
-    plan.light_groups = lighting.groups.iter().map(|g| g.name.clone()).collect();
+    plan.part(lighting.groups.iter().map(|g| g.name.clone()).collect(), settings);
     plan.weigh(original.bytes());
     progress.advance(1);
     Ok(Opened { scene, lighting, original, plan })

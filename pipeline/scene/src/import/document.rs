@@ -84,10 +84,14 @@ impl Document {
         place("node", node, self.root.nodes.get(node).and_then(|n| n.name.as_deref()))
     }
 
+    /// The name that the file gives a node.
+    pub fn own_node_name(&self, node: usize) -> Option<&str> {
+        self.root.nodes.get(node).and_then(|n| n.name.as_deref()).filter(|name| !name.is_empty())
+    }
+
     /// The node's own name, or its place where it has none.
     pub fn node_name(&self, node: usize) -> String {
-        let name = self.root.nodes.get(node).and_then(|n| n.name.clone());
-        name.filter(|name| !name.is_empty()).unwrap_or_else(|| self.node_place(node))
+        self.own_node_name(node).map_or_else(|| self.node_place(node), str::to_owned)
     }
 
     /// `mesh 3 "Wall"`.

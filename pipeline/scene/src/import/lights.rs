@@ -1,5 +1,7 @@
 //! KHR_lights_punctual: point, spot and directional lights in the world.
 
+use std::sync::Arc;
+
 use glam::{DAffine3, DVec3, Vec3};
 use serde_json::Value;
 
@@ -72,9 +74,13 @@ pub fn read(
             return Err(Fault::invalid(at, format!("{what}, not point, spot or directional")));
         }
     };
-    let name = light.get("name").and_then(Value::as_str).map_or_else(|| at.clone(), str::to_owned);
+    let named = light.get("name").and_then(Value::as_str).filter(|name| !name.is_empty());
+    let node = document.own_node_name(visit.node);
+    // By its name a light is known again after an edit: a node's number would change with the nodes before it.
+    let name = named.or(node).unwrap_or("light").to_owned();
     let group = visit.keys.group.clone().or(own.group).or_else(|| visit.extras.group.clone());
-    let group = group.unwrap_or_else(|| document.node_name(visit.node).into());
+    let group = group.or_else(|| node.or(named).map(Arc::from));
+    let group = group.unwrap_or_else(|| document.node_place(visit.node).into());
     Ok(Some(Light { name, node: visit.node, group, kind, intensity }))
 }
 
@@ -201,6 +207,21 @@ mod tests {
         };
         assert!((angle - 1f64.to_radians()).abs() < 1e-15);
         assert_eq!((inner, outer), (0.0, std::f64::consts::FRAC_PI_4));
+    }
+
+    #[test]
+    fn a_light_without_a_name_keeps_its_identity_when_a_node_comes_before_it() {
+        let (lamp, named) = (r#"[{"type":"point"}]"#, r#"[{"type":"point","name":"bulb"}]"#);
+        let of = |nodes: &str, lamp: &str| {
+            let light = lights(nodes, lamp).unwrap().remove(0);
+            (light.name, light.group.to_string())
+        };
+        let (one, two) = (format!("[{{{ON_NODE}}}]"), format!("[{{}},{{{ON_NODE}}}]"));
+        assert_eq!(of(&one, lamp).0, of(&two, lamp).0);
+        assert_eq!(of(&two, named), ("bulb".into(), "bulb".into()));
+        let node = format!(r#"[{{"name":"desk",{ON_NODE}}}]"#);
+        assert_eq!(of(&node, named), ("bulb".into(), "desk".into()), "a group is named by its node");
+        assert_eq!(of(&node, lamp), ("desk".into(), "desk".into()));
     }
 
     #[test]
