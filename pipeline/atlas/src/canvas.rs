@@ -2,6 +2,10 @@
 
 use glam::{DVec3, Vec3};
 use luxel_scene::{Cancelled, Progress, watched};
+use rayon::prelude::*;
+
+/// Texels that a thread looks at in one go.
+const CHUNK: usize = 1 << 12;
 
 /// Trust in a texel whose value was spread to it, against 1 for a whole computed one.
 pub(crate) const SPREAD_TRUST: f32 = 0.05;
@@ -53,13 +57,13 @@ impl Canvas {
     /// Grows all charts by so many rings into nobody's texels; the new texels are owned by the chart that they
     /// continue. Returns them.
     pub fn dilate(&mut self, rings: u32, progress: &dyn Progress) -> Result<Vec<usize>, Cancelled> {
-        let mut rim = Vec::new();
-        for at in watched(0..self.owner.len(), progress) {
-            let at = at?;
-            if self.is_known(at) {
-                rim.extend(self.neighbours(at).map(|n| n.0).filter(|&n| self.owner[n] == 0));
-            }
-        }
+        let is_rim = |at: &usize| self.owner[*at] == 0 && self.neighbours(*at).any(|(n, _)| self.is_known(n));
+        let width = self.width as usize;
+        let rows = (0..self.height as usize).into_par_iter().map(|y| {
+            progress.check()?;
+            Ok((y * width..(y + 1) * width).filter(is_rim).collect::<Vec<usize>>())
+        });
+        let rim = rows.collect::<Result<Vec<_>, Cancelled>>()?.concat();
         self.spread(rim, rings, |owner, _| owner == 0, progress)
     }
 
@@ -68,7 +72,7 @@ impl Canvas {
         &mut self,
         mut candidates: Vec<usize>,
         rings: u32,
-        may: impl Fn(u32, u32) -> bool,
+        may: impl Fn(u32, u32) -> bool + Sync,
         progress: &dyn Progress,
     ) -> Result<Vec<usize>, Cancelled> {
         let mut changed = Vec::new();
@@ -76,11 +80,12 @@ impl Canvas {
             progress.check()?;
             candidates.sort_unstable();
             candidates.dedup();
-            let mut ring: Vec<(usize, u32, Vec3)> = Vec::new();
-            for at in watched(&candidates, progress) {
-                let at = *at?;
-                ring.extend(self.continued(at, &may).map(|(owner, value)| (at, owner, value)));
-            }
+            let continued = |at: &usize| self.continued(*at, &may).map(|(owner, value)| (*at, owner, value));
+            let parts = candidates.par_chunks(CHUNK).map(|part| {
+                progress.check()?;
+                Ok(part.iter().filter_map(continued).collect::<Vec<(usize, u32, Vec3)>>())
+            });
+            let ring = parts.collect::<Result<Vec<_>, Cancelled>>()?.concat();
             if ring.is_empty() {
                 break;
             }

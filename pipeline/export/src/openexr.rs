@@ -176,9 +176,13 @@ impl<'s> WritableSamples<'s> for Plane<'_> {
 impl SamplesWriter for Plane<'_> {
     fn extract_line(&self, line: LineRefMut) {
         let start = line.location.position.y() * self.width + line.location.position.x();
-        let written = match self.depth {
-            Depth::Float => line.write_samples(|i| self.values.at(start + i)),
-            Depth::Half => line.write_samples(|i| f16::from_f32(self.values.at(start + i))),
+        let written = match (self.depth, self.values) {
+            (Depth::Half, values) => line.write_samples(|i| f16::from_f32(values.at(start + i))),
+            // What it is is asked once a line and not once a value.
+            (Depth::Float, Values::Band(colours, 0)) => line.write_samples(|i| colours[start + i].x),
+            (Depth::Float, Values::Band(colours, 1)) => line.write_samples(|i| colours[start + i].y),
+            (Depth::Float, Values::All(all)) => line.write_samples(|i| all[start + i]),
+            (Depth::Float, values) => line.write_samples(|i| values.at(start + i)),
         };
         written.expect("a line has room for its samples");
     }

@@ -7,6 +7,7 @@ use std::{
 };
 
 use luxel_scene::{Progress, Watched};
+use rayon::prelude::*;
 
 use crate::{
     BoundMap, Depth, Effort, ExportError, Lightmap, atomic,
@@ -138,7 +139,7 @@ impl OutputSet {
 
     /// Writes images, glb, and last the report, which thereby lists the hashes of all the others. All files are
     /// complete and on the disk under temporary names before the first takes its place: when one cannot be written, all
-    /// old ones stay. They are encoded one after the other, straight into their files. Images of an earlier bake that
+    /// old ones stay. They are encoded straight into their files, a few rows at a time. Images of an earlier bake that
     /// this one has not (other pages, no bound, no preview) are removed last.
     ///
     /// Cancelled it can be until then: no temporary file is left, and no output is touched. Nothing interrupts the
@@ -152,18 +153,18 @@ impl OutputSet {
         files: &Files,
         report: &mut Report,
         progress: &dyn Progress,
-        mut fill: impl FnMut(&Content, &mut fs::File) -> io::Result<()>,
+        fill: impl Fn(&Content, &mut fs::File) -> io::Result<()> + Sync,
     ) -> Result<(), ExportError> {
         let (contents, report_path) = (self.contents(files)?, self.report());
         let names: Vec<&PathBuf> = contents.iter().map(|(path, _)| path).chain([&report_path]).collect();
         let stale = self.stale(&names)?;
-        let mut staged = Vec::new();
-        report.outputs.clear();
-        for (path, content) in &contents {
+        let staged = contents.par_iter().map(|(path, content)| {
             let mut file = atomic::stage(path, |file| fill(content, file))?;
-            report.outputs.push(output(path, file.fingerprint(progress)?));
-            staged.push(file);
-        }
+            Ok((output(path, file.fingerprint(progress)?), file))
+        });
+        let staged = staged.collect::<Result<Vec<_>, ExportError>>()?;
+        let (outputs, mut staged): (Vec<Output>, Vec<_>) = staged.into_iter().unzip();
+        report.outputs = outputs;
         let json = Content::Bytes(&report.to_json()?);
         staged.push(atomic::stage(&report_path, |file| fill(&json, file))?);
         // From here on the old files are replaced.
@@ -278,6 +279,7 @@ mod tests {
     use super::*;
     use crate::atomic::tests::names;
     use crate::report::SceneInfo;
+    use std::sync::atomic::{AtomicUsize, Ordering};
     use glam::Vec3;
     use luxel_scene::Silent;
 
@@ -392,13 +394,13 @@ mod tests {
             glb: b"new",
         };
         let write_until = |last: usize| {
-            let mut count = 0;
+            let count = AtomicUsize::new(0);
             set.write_by(&files, &mut Report::new(SceneInfo::default()), &Silent, |content, file| {
-                count += 1;
+                let before = count.fetch_add(1, Ordering::Relaxed);
                 content.write(file)?;
                 // Half of it is on the disk.
                 file.set_len(file.metadata()?.len() / 2)?;
-                if count > last { Err(io::Error::other("disk full")) } else { Ok(()) }
+                if before >= last { Err(io::Error::other("disk full")) } else { Ok(()) }
             })
         };
         for last in 0..4 {

@@ -260,11 +260,8 @@ impl<'a> Sparse<'a> {
 
     /// Adds the light to that of all texels, which take it from their nodes.
     fn add_to(self, parts: &mut Parts) {
-        let light = [(&mut parts.direct, &self.direct), (&mut parts.indirect, &self.indirect)];
-        for (texels, nodes) in light {
-            let found = self.nodes.spread(self.side, nodes);
-            texels.iter_mut().zip(found).for_each(|(sum, e)| *sum += e);
-        }
+        let sums = [&mut parts.direct[..], &mut parts.indirect[..]];
+        self.nodes.spread(self.side, [&self.direct, &self.indirect], sums);
         parts.buried = self.nodes.buried;
     }
 }

@@ -133,10 +133,18 @@ impl Nodes {
         Ok(())
     }
 
-    /// Light at all texels of the side from that at the nodes; dark where they are buried.
-    pub fn spread(&self, side: &Side, light: &[Rgb]) -> Vec<Rgb> {
-        let charts: Vec<Vec<Rgb>> = self.charts.par_iter().map(|chart| chart.spread(self, side, light)).collect();
-        charts.concat()
+    /// Adds to the light of all texels of the side what they take from the nodes: two lights that are kept apart [lux].
+    pub fn spread(&self, side: &Side, light: [&[Rgb]; 2], sums: [&mut [Rgb]; 2]) {
+        let [mut first, mut second] = sums;
+        let parts = self.charts.iter().map(|chart| {
+            let of_chart;
+            (of_chart, first) = std::mem::take(&mut first).split_at_mut(chart.texels.len());
+            let also;
+            (also, second) = std::mem::take(&mut second).split_at_mut(chart.texels.len());
+            (chart, [of_chart, also])
+        });
+        let parts: Vec<(&Chart, [&mut [Rgb]; 2])> = parts.collect();
+        parts.into_par_iter().for_each(|(chart, sums)| chart.spread(self, side, light, sums));
     }
 }
 
@@ -294,26 +302,25 @@ impl Chart {
         first.or_else(|| self.along(cell, y).and_then(|next| self.beside(next, x)))
     }
 
-    fn spread(&self, nodes: &Nodes, side: &Side, light: &[Rgb]) -> Vec<Rgb> {
-        let at = |texel: usize| {
+    fn spread(&self, nodes: &Nodes, side: &Side, light: [&[Rgb]; 2], [first, second]: [&mut [Rgb]; 2]) {
+        for ((texel, first), second) in self.texels.clone().zip(first).zip(second).filter(|t| !nodes.buried[t.0.0]) {
             let (own, [x, y]) = self.cell_of(side, texel);
-            if nodes.buried[texel] {
-                return Rgb::ZERO;
-            }
-            let (mut sum, mut weights) = (Rgb::ZERO, 0.0);
+            let (mut sums, mut weights) = ([Rgb::ZERO; 2], 0.0);
             for (dx, dy) in (-1..=1).flat_map(|dy| (-1..=1).map(move |dx| (dx, dy))) {
                 let Some(cell) = self.towards(own, dx, dy) else { continue };
                 let node = self.cells[cell].node as usize;
                 let [nx, ny] = self.places[node];
                 let tent = |a: u32, b: u32| (1.0 - a.abs_diff(b) as f32 / self.stride as f32).max(0.0);
                 let weight = tent(x, nx) * tent(y, ny);
-                sum += light[self.first + node] * weight;
+                for (sum, light) in sums.iter_mut().zip(light) {
+                    *sum += light[self.first + node] * weight;
+                }
                 weights += weight;
             }
             // The own node is nearer than a cell is wide, so its weight is not nothing.
-            sum / weights
-        };
-        self.texels.clone().map(at).collect()
+            *first += sums[0] / weights;
+            *second += sums[1] / weights;
+        }
     }
 }
 
@@ -364,10 +371,12 @@ mod tests {
         let nodes = Nodes::new(&side, false, &rays, &Silent).unwrap();
         let place = |receiver: &Receiver| geometry.frame.world(receiver.position).as_vec3();
         let at_nodes: Vec<Rgb> = nodes.receivers.iter().map(|r| Rgb::splat(light(place(r)))).collect();
-        let found = nodes.spread(&side, &at_nodes);
-        assert_eq!(found.len(), side.len());
-        let open = (0..side.len()).filter(|i| !nodes.buried[*i]);
-        let texels = open.map(|i| (place(&side.receiver(i)), found[i].x)).collect();
+        let twice: Vec<Rgb> = at_nodes.iter().map(|light| *light * 2.0).collect();
+        let (mut found, mut doubled) = (vec![Rgb::ZERO; side.len()], vec![Rgb::ONE; side.len()]);
+        nodes.spread(&side, [&at_nodes, &twice], [&mut found, &mut doubled]);
+        let open = || (0..side.len()).filter(|i| !nodes.buried[*i]);
+        assert!(open().all(|i| doubled[i] == found[i] * 2.0 + Rgb::ONE));
+        let texels = open().map(|i| (place(&side.receiver(i)), found[i].x)).collect();
         (nodes, texels)
     }
 

@@ -4,7 +4,8 @@
 //! with the odds of their fraction, by a threshold that differs from texel to texel: right on average, and the grain is
 //! much finer than bands. Whole steps, 0 among them, stay what they are.
 
-use luxel_scene::{Progress, watched};
+use luxel_scene::{Cancelled, Progress};
+use rayon::prelude::*;
 
 use crate::{Effort, ExportError, Image8, Lightmap, encode_png_with};
 
@@ -12,16 +13,18 @@ use crate::{Effort, ExportError, Image8, Lightmap, encode_png_with};
 /// Nothing is gamma-encoded.
 pub fn png(map: &Lightmap, intensity: f32, effort: Effort, progress: &dyn Progress) -> Result<Vec<u8>, ExportError> {
     let byte = |e: f32, threshold: f64| (f64::from(e) / f64::from(intensity) * 255.0 + threshold) as u8;
-    let places = (0..map.height()).flat_map(|y| (0..map.width()).map(move |x| (x, y)));
-    let texel = |(e, (x, y)): (&glam::Vec3, (u32, u32))| {
-        // The same for all bands, so that the grain has no colour of its own.
-        let threshold = threshold(x, y);
-        e.to_array().map(|e| byte(e, threshold))
-    };
-    let mut texels = Vec::with_capacity(map.irradiance().len());
-    for item in watched(map.irradiance().iter().zip(places), progress) {
-        texels.push(texel(item?));
-    }
+    let mut texels = vec![[0; 3]; map.irradiance().len()];
+    let width = map.width().max(1) as usize;
+    let rows = texels.par_chunks_mut(width).zip(map.irradiance().par_chunks(width)).zip(0u32..map.height());
+    rows.try_for_each(|((row, light), y)| {
+        progress.check()?;
+        for ((texel, e), x) in row.iter_mut().zip(light).zip(0u32..) {
+            // The same for all bands, so that the grain has no colour of its own.
+            let threshold = threshold(x, y);
+            *texel = e.to_array().map(|e| byte(e, threshold));
+        }
+        Ok::<(), Cancelled>(())
+    })?;
     encode_png_with(&Image8 { width: map.width(), height: map.height(), texels }, effort, progress)
 }
 

@@ -7,6 +7,7 @@
 
 use luxel_atlas::Atlas;
 use luxel_scene::{Cancelled, Progress, watched};
+use rayon::prelude::*;
 
 use crate::Lightmap;
 
@@ -95,10 +96,11 @@ fn peaks(atlas: &Atlas, lightmaps: &[Lightmap], progress: &dyn Progress) -> Resu
             peaks.push(light.max_element());
         }
     }
-    for peaks in &mut peaks {
+    peaks.par_iter_mut().try_for_each(|peaks| {
         progress.check()?;
         peaks.sort_unstable_by(f32::total_cmp);
-    }
+        Ok(())
+    })?;
     Ok(peaks)
 }
 

@@ -32,6 +32,7 @@ mod vertices;
 use luxel_atlas::Atlas;
 use luxel_scene::import::{Checked, Fault, FaultKind};
 use luxel_scene::{Notice, Progress, Scene};
+use rayon::prelude::*;
 
 pub use original::Original;
 
@@ -80,7 +81,7 @@ impl Original {
             let png = bitmap::png(&lightmaps[page], picture.intensity, effort, progress)?;
             Ok(PageTexture { picture: *picture, png, file: names[page].clone() })
         };
-        let textures = pictures.list.iter().map(texture).collect::<Result<_, ExportError>>()?;
+        let textures = pictures.list.par_iter().map(texture).collect::<Result<_, ExportError>>()?;
         self.check_unchanged(&scene.inputs)?;
         self.write(scene, atlas, &pictures, textures, progress).map_err(|fault| fault.in_file(&self.path).into())
     }
