@@ -3,7 +3,8 @@
 use std::path::{Path, PathBuf};
 
 use luxel_export::{
-    Effort, Files, Original, OutputSet, Report, ToneMap, encode_png_with, report::Warning, sample_lightmap,
+    Effort, Images, Original, OutputSet, Report, StagedImages, ToneMap, encode_png_with, report::Warning,
+    sample_lightmap,
 };
 use luxel_scene::{Progress, Scene};
 use luxel_transport::Rgb;
@@ -46,24 +47,28 @@ fn at(lit: &Lit, instance: u32, triangle: u32, u: f32, v: f32) -> Option<Rgb> {
     Some(sample_lightmap(&lit.lightmaps, placed.page, uv))
 }
 
-/// The scene with its lightmap, over the file as it was.
-pub fn glb(
+/// The images, under temporary names, and at the same time the scene with its lightmap, over the file as it was.
+pub fn encode(
     request: &Request,
     (original, scene): (&Original, &Scene),
     plan: &Plan,
-    lit: &Lit,
-    effort: Effort,
+    (lit, images): (&Lit, &Images),
     report: &mut Report,
     journal: &mut Journal,
-) -> Result<Vec<u8>, Error> {
+) -> Result<(StagedImages, Vec<u8>), Error> {
     journal.always(Stage::Export, plan.reason(Stage::Export), Some(0), |progress, counters| {
         let names = request.outputs.lightmap_names(lit.lightmaps.len());
-        let glb = original.lightmapped(scene, &lit.atlas, &lit.lightmaps, &names, effort, progress)?;
+        let mut staged = Ok(StagedImages::default());
+        let glb = rayon::in_place_scope(|beside| {
+            beside.spawn(|_| staged = request.outputs.stage(images, progress));
+            original.lightmapped(scene, &lit.atlas, &lit.lightmaps, &names, images.effort, progress)
+        });
+        let (staged, glb) = (staged?, glb?);
         report.warnings.extend(glb.notices.iter().map(Warning::from));
         let clipped: usize = glb.pages.iter().map(|p| p.clipped).sum();
         counters.insert("bytes".into(), glb.bytes.len() as u64);
         counters.insert("clipped_texels".into(), clipped as u64);
-        Ok(glb.bytes)
+        Ok((staged, glb.bytes))
     })
 }
 
@@ -85,11 +90,11 @@ pub fn can_write(folder: &Path) -> std::io::Result<()> {
 /// Writes all files; returns them in the order of writing.
 pub fn write(
     outputs: &OutputSet,
-    files: &Files,
+    (images, glb): (StagedImages, Vec<u8>),
     report: &mut Report,
     progress: &dyn Progress,
 ) -> Result<Vec<PathBuf>, Error> {
-    outputs.write(files, report, progress)?;
+    outputs.write(images, &glb, report, progress)?;
     let listed = report.outputs.iter().map(|o| outputs.folder().join(&o.path));
     Ok(listed.chain([outputs.report()]).collect())
 }

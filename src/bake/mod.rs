@@ -249,11 +249,7 @@ fn run(
     let lit = light(&baking, &tracer, (atlas, atlas_report), Keep::Images, &mut journal)?;
     let picture = export::preview(&baking, &tracer, &lit, &mut journal)?;
     let figures = (store.take_notes(), start.elapsed().as_secs_f64() - besides);
-    let (report, glb) = outgoing.encoded(&baking, &lit, Effort::Small, figures, journal)?;
-    // Beside the encoders lives what they read.
-    let Lit { lightmaps, bounds, .. } = lit;
-    let mut baked =
-        outgoing.written(report, (&lightmaps, &bounds), picture.as_deref(), &glb, Effort::Small, progress)?;
+    let mut baked = outgoing.write(&baking, &lit, picture.as_deref(), Effort::Small, figures, journal)?;
     store.evict();
     store::sweep(request.outputs.folder());
     baked.seconds -= besides;

@@ -3,8 +3,7 @@
 use std::collections::BTreeMap;
 use std::time::Instant;
 
-use luxel_export::{BoundMap, Depth, Effort, Files, Lightmap, Original, Report};
-use luxel_scene::Progress;
+use luxel_export::{Depth, Effort, Images, Original};
 
 use super::journal::Journal;
 use super::tracer::Tracer;
@@ -25,36 +24,27 @@ pub struct Outgoing<'a> {
 }
 
 impl Outgoing<'_> {
-    /// The report, but for the files, and the scene with its lightmap. `notes` are what the store had to say.
-    pub fn encoded(
+    /// Replaces the files of the last bake. `notes` are what the store had to say.
+    pub fn write(
         &self,
         baking: &Baking,
         lit: &Lit,
+        picture: Option<&[u8]>,
         effort: Effort,
         (notes, seconds): (Vec<String>, f64),
         mut journal: Journal,
-    ) -> Result<(Report, Vec<u8>), Error> {
-        let (scene, request) = (self.tracer.geometry.scene, self.request);
+    ) -> Result<Baked, Error> {
+        let (scene, request, progress) = (self.tracer.geometry.scene, self.request, journal.progress);
         let mut report = report::start(scene, self.inputs, baking.plan, &request.settings, &baking.keys.parts);
         report.mix = self.weights.clone();
-        let glb = export::glb(request, (self.original, scene), baking.plan, lit, effort, &mut report, &mut journal)?;
-        report::fill(&mut report, scene, baking, lit, notes, journal, seconds);
-        Ok((report, glb))
-    }
-
-    /// Replaces the files of the last bake.
-    pub fn written(
-        &self,
-        mut report: Report,
-        (lightmaps, bounds): (&[Lightmap], &[BoundMap]),
-        picture: Option<&[u8]>,
-        glb: &[u8],
-        effort: Effort,
-        progress: &dyn Progress,
-    ) -> Result<Baked, Error> {
         let key = blake3::Hash::from(self.key).to_hex();
-        let files = Files { lightmaps, bounds, depth: Depth::Float, effort, key: &key, preview_png: picture, glb };
-        let files = export::write(&self.request.outputs, &files, &mut report, progress)?;
+        let (lightmaps, bounds) = (&lit.lightmaps[..], &lit.bounds[..]);
+        let images = Images { lightmaps, bounds, depth: Depth::Float, effort, key: &key, preview_png: picture };
+        let made =
+            export::encode(request, (self.original, scene), baking.plan, (lit, &images), &mut report, &mut journal)?;
+        report::fill(&mut report, scene, baking, lit, notes, journal, seconds);
+        report.draft = effort == Effort::Fast;
+        let files = export::write(&request.outputs, made, &mut report, progress)?;
         let seconds = self.start.elapsed().as_secs_f64();
         Ok(Baked { report, files, inputs: self.inputs.read.clone(), seconds })
     }

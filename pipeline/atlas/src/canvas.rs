@@ -50,65 +50,74 @@ impl Canvas {
 
     /// Gives values to unknown texels of the candidates' charts from known neighbours of the same chart, ring by ring,
     /// as far as they are connected.
-    pub fn fill(&mut self, candidates: Vec<usize>, progress: &dyn Progress) -> Result<(), Cancelled> {
-        self.spread(candidates, u32::MAX, |owner, near| owner == near, progress).map(drop)
+    pub fn fill(&mut self, mut candidates: Vec<usize>, progress: &dyn Progress) -> Result<(), Cancelled> {
+        let may = |owner: u32, near: u32| owner == near;
+        loop {
+            candidates.sort_unstable();
+            candidates.dedup();
+            let ring = self.ring(&candidates, &may, progress)?;
+            if ring.is_empty() {
+                return Ok(());
+            }
+            self.take(&ring);
+            candidates.clear();
+            for item in watched(&ring, progress) {
+                let &(at, owner, _) = item?;
+                let open = |n: &usize| !self.is_known(*n) && may(self.owner[*n], owner);
+                candidates.extend(self.neighbours(at).map(|n| n.0).filter(open));
+            }
+        }
     }
 
     /// Grows all charts by so many rings into nobody's texels; the new texels are owned by the chart that they
     /// continue. Returns them.
     pub fn dilate(&mut self, rings: u32, progress: &dyn Progress) -> Result<Vec<usize>, Cancelled> {
+        let mut grown = Vec::new();
+        for _ in 0..rings {
+            let rim = self.rim(progress)?;
+            let ring = self.ring(&rim, &|owner, _| owner == 0, progress)?;
+            self.take(&ring);
+            grown.extend(ring.iter().map(|(at, ..)| *at));
+        }
+        Ok(grown)
+    }
+
+    /// Nobody's texels with a known neighbour, in rising order.
+    fn rim(&self, progress: &dyn Progress) -> Result<Vec<usize>, Cancelled> {
         let is_rim = |at: &usize| self.owner[*at] == 0 && self.neighbours(*at).any(|(n, _)| self.is_known(n));
         let width = self.width as usize;
         let rows = (0..self.height as usize).into_par_iter().map(|y| {
             progress.check()?;
             Ok((y * width..(y + 1) * width).filter(is_rim).collect::<Vec<usize>>())
         });
-        let rim = rows.collect::<Result<Vec<_>, Cancelled>>()?.concat();
-        self.spread(rim, rings, |owner, _| owner == 0, progress)
+        Ok(rows.collect::<Result<Vec<_>, Cancelled>>()?.concat())
     }
 
-    /// Texels for which `may(owner, owner of a known neighbour)` holds take the neighbours' weighted mean.
-    fn spread(
-        &mut self,
-        mut candidates: Vec<usize>,
-        rings: u32,
-        may: impl Fn(u32, u32) -> bool + Sync,
+    /// Those of some texels that can take a value, with what they take.
+    fn ring(
+        &self,
+        candidates: &[usize],
+        may: &(impl Fn(u32, u32) -> bool + Sync),
         progress: &dyn Progress,
-    ) -> Result<Vec<usize>, Cancelled> {
-        let mut changed = Vec::new();
-        for _ in 0..rings {
+    ) -> Result<Vec<(usize, u32, Vec3)>, Cancelled> {
+        let continued = |at: &usize| self.continued(*at, may).map(|(owner, value)| (*at, owner, value));
+        let parts = candidates.par_chunks(CHUNK).map(|part| {
             progress.check()?;
-            candidates.sort_unstable();
-            candidates.dedup();
-            let continued = |at: &usize| self.continued(*at, &may).map(|(owner, value)| (*at, owner, value));
-            let parts = candidates.par_chunks(CHUNK).map(|part| {
-                progress.check()?;
-                Ok(part.iter().filter_map(continued).collect::<Vec<(usize, u32, Vec3)>>())
-            });
-            let ring = parts.collect::<Result<Vec<_>, Cancelled>>()?.concat();
-            if ring.is_empty() {
-                break;
-            }
-            candidates.clear();
-            for &(at, owner, value) in &ring {
-                self.owner[at] = owner;
-                self.value[at] = value;
-                self.trust[at] = SPREAD_TRUST;
-            }
-            for item in watched(&ring, progress) {
-                let &(at, owner, _) = item?;
-                let open = |n: &usize| !self.is_known(*n) && may(self.owner[*n], owner);
-                candidates.extend(self.neighbours(at).map(|n| n.0).filter(open));
-                changed.push(at);
-            }
+            Ok(part.iter().filter_map(continued).collect::<Vec<_>>())
+        });
+        Ok(parts.collect::<Result<Vec<_>, Cancelled>>()?.concat())
+    }
+
+    fn take(&mut self, ring: &[(usize, u32, Vec3)]) {
+        for &(at, owner, value) in ring {
+            (self.owner[at], self.value[at], self.trust[at]) = (owner, value, SPREAD_TRUST);
         }
-        Ok(changed)
     }
 
     /// Owner and value that an unknown texel would take: of the lowest chart around it, the mean of the texels beside it,
     /// or where there are none of those at its corners. A texel beside the border is continued straight on: across a
     /// corner may lie the far side of a wall, with light of its own.
-    fn continued(&self, at: usize, may: &impl Fn(u32, u32) -> bool) -> Option<(u32, Vec3)> {
+    fn continued(&self, at: usize, may: &(impl Fn(u32, u32) -> bool + Sync)) -> Option<(u32, Vec3)> {
         if self.is_known(at) {
             return None;
         }

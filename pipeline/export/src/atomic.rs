@@ -4,7 +4,7 @@ use std::{
     collections::BTreeSet,
     fs,
     io::{self, Seek, Write},
-    path::Path,
+    path::{Path, PathBuf},
 };
 
 use luxel_scene::{Progress, Watched};
@@ -23,12 +23,17 @@ pub fn write_atomic_with(path: &Path, fill: impl FnOnce(&mut fs::File) -> io::Re
 }
 
 /// A finished file under a temporary name, which goes when this is dropped.
-pub(crate) struct Staged<'a> {
+pub(crate) struct Staged {
     file: tempfile::NamedTempFile,
-    path: &'a Path,
+    path: PathBuf,
 }
 
-impl Staged<'_> {
+impl Staged {
+    /// What it is to become.
+    pub(crate) fn path(&self) -> &Path {
+        &self.path
+    }
+
     /// Length and hash of what was written, read back so that it need not be held.
     pub(crate) fn fingerprint(&mut self, progress: &dyn Progress) -> Result<(u64, blake3::Hash), ExportError> {
         let mut hash = || {
@@ -38,7 +43,7 @@ impl Staged<'_> {
             hasher.update_reader(Watched::new(file, progress))?;
             Ok((hasher.count(), hasher.finalize()))
         };
-        hash().map_err(|e| ExportError::io("read back", self.path, e))
+        hash().map_err(|e| ExportError::io("read back", &self.path, e))
     }
 }
 
@@ -48,10 +53,7 @@ fn folder(path: &Path) -> &Path {
 }
 
 /// Writes what is to become `path` beside it and flushes it to the disk. Refuses what a rename could not replace.
-pub(crate) fn stage(
-    path: &Path,
-    fill: impl FnOnce(&mut fs::File) -> io::Result<()>,
-) -> Result<Staged<'_>, ExportError> {
+pub(crate) fn stage(path: &Path, fill: impl FnOnce(&mut fs::File) -> io::Result<()>) -> Result<Staged, ExportError> {
     let folder = folder(path);
     fs::create_dir_all(folder).map_err(|e| ExportError::io("create the folder", folder, e))?;
     if path.is_dir() {
@@ -68,7 +70,7 @@ pub(crate) fn stage(
         file.as_file().sync_all()?;
         Ok(file)
     };
-    Ok(Staged { file: filled().map_err(|e| ExportError::io("write", path, e))?, path })
+    Ok(Staged { file: filled().map_err(|e| ExportError::io("write", path, e))?, path: path.into() })
 }
 
 /// Renames staged files to what they are to be, in their order. All that can be expected to fail (space, permission, a
@@ -76,14 +78,14 @@ pub(crate) fn stage(
 pub(crate) fn persist(files: Vec<Staged>) -> Result<(), ExportError> {
     let mut folders = BTreeSet::new();
     for Staged { file, path } in files {
-        file.persist(path).map_err(|e| ExportError::io("write", path, e.error))?;
-        folders.insert(folder(path));
+        file.persist(&path).map_err(|e| ExportError::io("write", &path, e.error))?;
+        folders.insert(folder(&path).to_owned());
     }
     // The renames themselves reach the disk with the folder; only Unix can open one.
     #[cfg(unix)]
     for folder in folders {
-        let flushed = fs::File::open(folder).and_then(|f| f.sync_all());
-        flushed.map_err(|e| ExportError::io("write the folder", folder, e))?;
+        let flushed = fs::File::open(&folder).and_then(|f| f.sync_all());
+        flushed.map_err(|e| ExportError::io("write the folder", &folder, e))?;
     }
     Ok(())
 }

@@ -25,7 +25,7 @@ pub use error::ExportError;
 pub use gltf::{Glb, Original};
 pub use lightmap::{BoundMap, Lightmap, sample_lightmap};
 pub use openexr::Depth;
-pub use output::{Files, OutputSet, is_output};
+pub use output::{Images, OutputSet, StagedImages, is_output};
 pub use png::{Effort, Image8, encode_png, encode_png_with};
 pub use report::Report;
 pub use tonemap::ToneMap;

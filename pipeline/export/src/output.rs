@@ -10,7 +10,8 @@ use luxel_scene::{Progress, Watched};
 use rayon::prelude::*;
 
 use crate::{
-    BoundMap, Depth, Effort, ExportError, Lightmap, atomic,
+    BoundMap, Depth, Effort, ExportError, Lightmap,
+    atomic::{self, Staged},
     openexr::Exr,
     report::{Output, Report},
 };
@@ -28,8 +29,8 @@ pub struct OutputSet {
     stem: String,
 }
 
-/// What is to be written.
-pub struct Files<'a> {
+/// The images of a bake.
+pub struct Images<'a> {
     pub lightmaps: &'a [Lightmap],
     /// Empty, or one image per page.
     pub bounds: &'a [BoundMap],
@@ -40,7 +41,16 @@ pub struct Files<'a> {
     pub key: &'a str,
     /// The encoded preview picture.
     pub preview_png: Option<&'a [u8]>,
-    pub glb: &'a [u8],
+}
+
+/// Images that are on the disk under temporary names; they go when this is dropped.
+#[derive(Default)]
+pub struct StagedImages(Vec<Filed>);
+
+/// A file under its temporary name, and what a report says of it.
+struct Filed {
+    file: Staged,
+    output: Output,
 }
 
 impl OutputSet {
@@ -137,34 +147,52 @@ impl OutputSet {
         }
     }
 
-    /// Writes images, glb, and last the report, which thereby lists the hashes of all the others. All files are
-    /// complete and on the disk under temporary names before the first takes its place: when one cannot be written, all
-    /// old ones stay. They are encoded straight into their files, a few rows at a time. Images of an earlier bake that
-    /// this one has not (other pages, no bound, no preview) are removed last.
+    /// Writes images under temporary names, several at a time. They are encoded straight into their files, a few rows
+    /// at a time. What an image cannot hold is seen before the first is written.
+    pub fn stage(&self, images: &Images, progress: &dyn Progress) -> Result<StagedImages, ExportError> {
+        self.stage_by(images, progress, &|content, file| content.write(&mut Watched::new(file, progress)))
+    }
+
+    /// Writes the glb, and last the report, which thereby lists the hashes of all the others, and puts everything in its
+    /// place. All files are complete and on the disk under temporary names before the first takes its place: when one
+    /// cannot be written, all old ones stay. Images of an earlier bake that this one has not (other pages, no bound, no
+    /// preview) are removed last.
     ///
     /// Cancelled it can be until then: no temporary file is left, and no output is touched. Nothing interrupts the
     /// flushing of one file to the disk.
-    pub fn write(&self, files: &Files, report: &mut Report, progress: &dyn Progress) -> Result<(), ExportError> {
-        self.write_by(files, report, progress, |content, file| content.write(&mut Watched::new(file, progress)))
+    pub fn write(
+        &self,
+        images: StagedImages,
+        glb: &[u8],
+        report: &mut Report,
+        progress: &dyn Progress,
+    ) -> Result<(), ExportError> {
+        self.write_by(images, glb, report, progress, &|content, file| content.write(&mut Watched::new(file, progress)))
+    }
+
+    fn stage_by(&self, images: &Images, progress: &dyn Progress, fill: &Fill) -> Result<StagedImages, ExportError> {
+        let contents = self.contents(images)?;
+        let filed = contents.par_iter().map(|(path, content)| filed(path, content, progress, fill));
+        Ok(StagedImages(filed.collect::<Result<_, ExportError>>()?))
     }
 
     fn write_by(
         &self,
-        files: &Files,
+        StagedImages(mut files): StagedImages,
+        glb: &[u8],
         report: &mut Report,
         progress: &dyn Progress,
-        fill: impl Fn(&Content, &mut fs::File) -> io::Result<()> + Sync,
+        fill: &Fill,
     ) -> Result<(), ExportError> {
-        let (contents, report_path) = (self.contents(files)?, self.report());
-        let names: Vec<&PathBuf> = contents.iter().map(|(path, _)| path).chain([&report_path]).collect();
-        let stale = self.stale(&names)?;
-        let staged = contents.par_iter().map(|(path, content)| {
-            let mut file = atomic::stage(path, |file| fill(content, file))?;
-            Ok((output(path, file.fingerprint(progress)?), file))
-        });
-        let staged = staged.collect::<Result<Vec<_>, ExportError>>()?;
-        let (outputs, mut staged): (Vec<Output>, Vec<_>) = staged.into_iter().unzip();
-        report.outputs = outputs;
+        files.push(filed(&self.glb(), &Content::Bytes(glb), progress, fill)?);
+        let report_path = self.report();
+        let stale = self.stale(&files.iter().map(|f| f.file.path()).chain([&*report_path]).collect::<Vec<_>>())?;
+        let mut staged = Vec::new();
+        report.outputs.clear();
+        for Filed { file, output } in files {
+            report.outputs.push(output);
+            staged.push(file);
+        }
         let json = Content::Bytes(&report.to_json()?);
         staged.push(atomic::stage(&report_path, |file| fill(&json, file))?);
         // From here on the old files are replaced.
@@ -176,9 +204,8 @@ impl OutputSet {
         Ok(())
     }
 
-    /// All files but the report, in the order of writing. What an image cannot hold is seen here, before the first is
-    /// written.
-    fn contents<'a>(&self, files: &Files<'a>) -> Result<Vec<(PathBuf, Content<'a>)>, ExportError> {
+    /// All images, in the order of writing. What one cannot hold is seen here.
+    fn contents<'a>(&self, files: &Images<'a>) -> Result<Vec<(PathBuf, Content<'a>)>, ExportError> {
         let pages = files.lightmaps.len();
         let mut contents = Vec::new();
         for (i, map) in files.lightmaps.iter().enumerate() {
@@ -196,7 +223,6 @@ impl OutputSet {
         if let Some(png) = files.preview_png {
             contents.push((self.preview(), Content::Bytes(png)));
         }
-        contents.push((self.glb(), Content::Bytes(files.glb)));
         Ok(contents)
     }
 
@@ -205,11 +231,11 @@ impl OutputSet {
     ///
     /// # Errors
     /// The folder cannot be listed.
-    pub fn stale(&self, current: &[&PathBuf]) -> Result<Vec<PathBuf>, ExportError> {
+    pub fn stale(&self, current: &[impl AsRef<Path>]) -> Result<Vec<PathBuf>, ExportError> {
         let outdated = |path: &PathBuf| {
             let name = path.file_name();
             let is_image = name.and_then(|n| n.to_str()).is_some_and(|n| self.is_image_name(n));
-            is_image && !current.iter().any(|c| c.file_name() == name)
+            is_image && !current.iter().any(|c| c.as_ref().file_name() == name)
         };
         Ok(self.listed()?.into_iter().filter(outdated).collect())
     }
@@ -266,12 +292,15 @@ impl Content<'_> {
     }
 }
 
-fn output(path: &Path, (bytes, hash): (u64, blake3::Hash)) -> Output {
-    Output {
-        path: path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default(),
-        bytes,
-        blake3: hash.to_hex().to_string(),
-    }
+/// Puts a content into a file.
+type Fill<'f> = dyn Fn(&Content, &mut fs::File) -> io::Result<()> + Sync + 'f;
+
+/// Writes a file under a temporary name.
+fn filed(path: &Path, content: &Content, progress: &dyn Progress, fill: &Fill) -> Result<Filed, ExportError> {
+    let mut file = atomic::stage(path, |file| fill(content, file))?;
+    let (bytes, hash) = file.fingerprint(progress)?;
+    let path = path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
+    Ok(Filed { file, output: Output { path, bytes, blake3: hash.to_hex().to_string() } })
 }
 
 #[cfg(test)]
@@ -279,24 +308,23 @@ mod tests {
     use super::*;
     use crate::atomic::tests::names;
     use crate::report::SceneInfo;
-    use std::sync::atomic::{AtomicUsize, Ordering};
     use glam::Vec3;
     use luxel_scene::Silent;
+    use std::sync::atomic::{AtomicUsize, Ordering};
 
     fn write(set: &OutputSet, pages: usize) -> Report {
         let map = Lightmap::new(2, 1, vec![Vec3::ONE; 2], vec![1.0; 2]).unwrap();
         let bound = BoundMap::new(2, 1, vec![0.1; 2]).unwrap();
-        let files = Files {
+        let files = Images {
             lightmaps: &vec![map; pages],
             bounds: &vec![bound; pages],
             depth: Depth::Float,
             effort: Effort::Small,
             key: "k",
             preview_png: Some(b"png"),
-            glb: b"glb",
         };
         let mut report = Report::new(SceneInfo::default());
-        set.write(&files, &mut report, &Silent).unwrap();
+        set.write(set.stage(&files, &Silent).unwrap(), b"glb", &mut report, &Silent).unwrap();
         report
     }
 
@@ -384,24 +412,25 @@ mod tests {
         };
         let before = all();
         let map = Lightmap::new(1, 1, vec![Vec3::ZERO], vec![1.0]).unwrap();
-        let files = Files {
+        let files = Images {
             lightmaps: &[map],
             bounds: &[],
             depth: Depth::Float,
             effort: Effort::Small,
             key: "k",
             preview_png: Some(b"new png"),
-            glb: b"new",
         };
         let write_until = |last: usize| {
             let count = AtomicUsize::new(0);
-            set.write_by(&files, &mut Report::new(SceneInfo::default()), &Silent, |content, file| {
+            let fill = |content: &Content, file: &mut fs::File| {
                 let before = count.fetch_add(1, Ordering::Relaxed);
                 content.write(file)?;
                 // Half of it is on the disk.
                 file.set_len(file.metadata()?.len() / 2)?;
                 if before >= last { Err(io::Error::other("disk full")) } else { Ok(()) }
-            })
+            };
+            let images = set.stage_by(&files, &Silent, &fill)?;
+            set.write_by(images, b"new", &mut Report::new(SceneInfo::default()), &Silent, &fill)
         };
         for last in 0..4 {
             let error = write_until(last).unwrap_err().to_string();
@@ -410,7 +439,8 @@ mod tests {
         // A folder in the place of the last file is seen before the first file is replaced, too.
         fs::remove_file(set.report()).unwrap();
         fs::create_dir(set.report()).unwrap();
-        let error = set.write(&files, &mut Report::new(SceneInfo::default()), &Silent).unwrap_err().to_string();
+        let write = |report: &mut Report| set.write(set.stage(&files, &Silent)?, b"new", report, &Silent);
+        let error = write(&mut Report::new(SceneInfo::default())).unwrap_err().to_string();
         assert!(error.contains("level.bake.json"), "{error}");
         fs::remove_dir(set.report()).unwrap();
         let kept = before.into_iter().filter(|(_, name)| name != "level.bake.json");
@@ -443,16 +473,16 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let set = OutputSet::new(&dir.path().join("level.glb"), None, None).unwrap();
         write(&set, 1);
-        let files = Files {
+        let files = Images {
             lightmaps: &[],
             bounds: &[],
             depth: Depth::Float,
             effort: Effort::Small,
             key: "k",
             preview_png: None,
-            glb: b"new",
         };
-        set.write(&files, &mut Report::new(SceneInfo::default()), &Silent).unwrap();
+        let staged = set.stage(&files, &Silent).unwrap();
+        set.write(staged, b"new", &mut Report::new(SceneInfo::default()), &Silent).unwrap();
         assert_eq!(names(set.folder()), ["level.bake.json", "level.glb"]);
     }
 
@@ -463,18 +493,18 @@ mod tests {
         write(&set, 1);
         let before: Vec<_> = names(set.folder()).iter().map(|n| fs::read(set.folder().join(n)).unwrap()).collect();
         let map = Lightmap::new(1, 1, vec![Vec3::ZERO], vec![1.0]).unwrap();
-        let files = Files {
+        let files = Images {
             lightmaps: &[map],
             bounds: &[],
             depth: Depth::Float,
             effort: Effort::Small,
             key: "k",
             preview_png: None,
-            glb: b"new",
         };
         let mut report = Report::new(SceneInfo::default());
         report.quality.insert("rate".into(), f64::NAN);
-        assert!(set.write(&files, &mut report, &Silent).is_err());
+        let staged = set.stage(&files, &Silent).unwrap();
+        assert!(set.write(staged, b"new", &mut report, &Silent).is_err());
         let after: Vec<_> = names(set.folder()).iter().map(|n| fs::read(set.folder().join(n)).unwrap()).collect();
         assert_eq!(before, after);
     }

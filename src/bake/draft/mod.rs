@@ -91,7 +91,6 @@ pub fn bake(
     let mut keys = whole.keys.clone();
     keys.surfels = whole.keys.surfels(&settings);
     let own = Baking { settings: &settings, plan: &plan, keys: &keys, ..*whole };
-    let progress = journal.progress;
     // Import and unwrap are behind it, too.
     let mut journal = journal.clone();
     let (parts, transport) = light(whole, &own, tracer, &atlas, &mut journal)?;
@@ -103,9 +102,7 @@ pub fn bake(
     journal.left_out(&plan, Stage::Preview);
     let lit = Lit { atlas, atlas_report, lightmaps, bounds, sums, transport, ..Lit::default() };
     let figures = (Vec::new(), outgoing.start.elapsed().as_secs_f64());
-    let (mut report, glb) = outgoing.encoded(&own, &lit, Effort::Fast, figures, journal)?;
-    report.draft = true;
-    let baked = outgoing.written(report, (&lit.lightmaps, &lit.bounds), None, &glb, Effort::Fast, progress)?;
+    let baked = outgoing.write(&own, &lit, None, Effort::Fast, figures, journal)?;
     Ok((baked, lit.atlas, lit.atlas_report))
 }
 
