@@ -3,12 +3,12 @@
 use luxel_atlas::layout::Source;
 use luxel_atlas::{Atlas, AtlasReport, AtlasSettings, Charts, Layout, Packing, Placement, Unwrapper, Unwraps};
 use luxel_export::report::StageState;
-use luxel_scene::{Mesh, Progress, Scene};
+use luxel_scene::{Instance, Mesh, Progress, Scene};
 
 use super::Baking;
 use super::artefact::{body, put_value};
 use super::journal::{Counters, Journal};
-use super::{keys, report};
+use super::{foresee, keys, report};
 use crate::Error;
 use crate::plan::Stage;
 use crate::settings::Settings;
@@ -32,6 +32,9 @@ pub fn run(
         let layout = Layout::build(scene, progress)?;
         let mut unwraps = Unwraps::new();
         let stored = read_unwraps(baking.store, scene, &layout, &mut unwraps);
+        for instance in missing(scene, &layout, &unwraps) {
+            baking.may_make_part(|| foresee::unwrap_of(&instance.name))?;
+        }
         layout.complete(scene, &mut unwraps, unwrapper, progress)?;
         let new = unwraps.len() - stored.len();
         write_unwraps(baking.store, scene, &layout, &unwraps, &stored, progress)?;
@@ -76,6 +79,12 @@ fn unwrapped<'a>(scene: &'a Scene, layout: &Layout) -> std::collections::BTreeMa
         Source::None | Source::Authored(_) => None,
     });
     meshes.collect()
+}
+
+/// Objects whose meshes are still to be unwrapped.
+fn missing<'a>(scene: &'a Scene, layout: &'a Layout, unwraps: &'a Unwraps) -> impl Iterator<Item = &'a Instance> {
+    let open = |(_, source): &(&Instance, &Source)| matches!(source, Source::Unwrap(key) if !unwraps.contains_key(key));
+    scene.instances.iter().zip(&layout.sources).filter(open).map(|(instance, _)| instance)
 }
 
 /// Adds stored unwraps; returns the meshes that have one.
@@ -123,6 +132,7 @@ fn placement(baking: &Baking, packing: &Packing, progress: &dyn Progress) -> Res
     if let Some(placement) = baking.store.and_then(|store| store.get(Kind::Layout, key, read)) {
         return Ok((placement, true));
     }
+    baking.may_make_part(|| foresee::LAYOUT.into())?;
     let placement = packing.place(progress)?;
     if let Some(store) = baking.store {
         store.put(Kind::Layout, key, |out| put_value(out, &placement));

@@ -130,15 +130,23 @@ impl Baking<'_> {
         Ok(written)
     }
 
-    /// To be asked before the light of a group is made.
-    fn may_make(&self, group: &str) -> Result<(), Error> {
+    /// To be asked before anything is made that an export has to find in the store.
+    fn may_make_part(&self, what: impl FnOnce() -> String) -> Result<(), Error> {
         match self.store {
-            Some(store) if self.only_stored => {
-                Err(Error::NotStored { group: group.into(), store: store.folder().into() })
-            }
+            Some(store) if self.only_stored => Err(not_stored(store, what())),
             _ => Ok(()),
         }
     }
+
+    /// To be asked before the light of a group is made.
+    fn may_make(&self, group: &str) -> Result<(), Error> {
+        self.may_make_part(|| light_of(group))
+    }
+}
+
+/// What an export says of a group whose light it misses.
+fn light_of(group: &str) -> String {
+    format!("the light of the group {group:?}")
 }
 
 /// Bakes a scene file to files (the chain is shown in the crate's documentation). When it fails or is cancelled, the
@@ -168,8 +176,10 @@ pub fn bake_drafted(
 /// Writes the outputs of a bake with other weights of its light groups, from their stored light alone.
 ///
 /// # Errors
-/// As a bake; a group that the scene does not have; light that is not stored.
+/// As a bake; a group that the scene does not have, or that would become too bright; anything that is not stored, which
+/// is seen before anything is computed or written; a bake that lies where the outputs go.
 pub fn export(request: &Request, mix: &Mix, progress: &dyn Progress) -> Result<Baked, Error> {
+    export::spare_bake(&request.outputs)?;
     let order = Order { mix: Some(mix), ..Order::default() };
     begin(request, order, &Alone(request.settings.settings.threads.0), progress)
 }
@@ -220,10 +230,16 @@ fn run(
     let keys = Keys::new(&scene, &lighting, settings, &plan);
     journal.cause = cause::of(&request.outputs, &keys, &request.settings);
     progress.check()?;
+    let store = request.store.open(request.outputs.folder());
+    if mix.is_some() {
+        let missing = foresee::missing(&plan, &store, &scene, &lighting, &keys, progress)?;
+        missing.map_or(Ok(()), |what| Err(not_stored(&store, what)))?;
+    }
     let geometry = Geometry::new(&scene);
     progress.check()?;
     export::probe(&request.outputs)?;
-    let store = request.store.open(request.outputs.folder());
+    store.keep_cap_or_note();
+    let _tidied = Tidy { store: &store, folder: request.outputs.folder() };
     let baking = Baking {
         settings,
         plan: &plan,
@@ -254,10 +270,26 @@ fn run(
     let Lit { lightmaps, bounds, .. } = lit;
     let mut baked =
         outgoing.written(report, (&lightmaps, &bounds), picture.as_deref(), &glb, Effort::Small, progress)?;
-    store.evict();
-    store::sweep(request.outputs.folder());
     baked.seconds -= besides;
     Ok(baked)
+}
+
+/// Keeps a store below its cap, and a folder of outputs free of what killed bakes left there, when a bake is over:
+/// however it ends, it has put artefacts into the store.
+struct Tidy<'a> {
+    store: &'a Store,
+    folder: &'a Path,
+}
+
+impl Drop for Tidy<'_> {
+    fn drop(&mut self) {
+        self.store.evict();
+        store::sweep(self.folder);
+    }
+}
+
+fn not_stored(store: &Store, what: String) -> Error {
+    Error::NotStored { what, store: store.folder().into() }
 }
 
 /// Whether the result depends on the setting of this name: the number of threads changes no byte.
@@ -346,7 +378,11 @@ fn texel_light(
     if plan.runs(Stage::Clear) && !lighting.groups.is_empty() {
         let key = &baking.keys.clear;
         let store = baking.store.map(|store| (store, key));
-        let receivers = Receivers::new(tracer, atlas, settings, plan, store, journal)?;
+        let receivers = match store.filter(|_| baking.only_stored) {
+            Some((store, key)) => Receivers::stored(tracer, atlas, settings, plan, (store, key), journal)
+                .ok_or_else(|| not_stored(store, foresee::CLEARED.into()))?,
+            None => Receivers::new(tracer, atlas, settings, plan, store, journal)?,
+        };
         for (number, group) in lighting.groups.iter().enumerate() {
             journal.group = (lighting.groups.len() > 1).then(|| group.name.clone());
             let parts =
@@ -354,6 +390,10 @@ fn texel_light(
             match &mut sum {
                 Some(sum) => sum.add(&parts),
                 None => sum = Some(parts),
+            }
+            // A scene's own strengths are bounded by the import, those of a mix by nothing.
+            if baking.only_stored && !sum.as_ref().is_some_and(Parts::is_finite) {
+                return Err(Error::TooBright { name: group.name.clone() });
             }
         }
         journal.group = None;
