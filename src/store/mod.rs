@@ -1,7 +1,7 @@
 //! The store: artefacts of stages under the key of everything that they follow from.
 //!
 //! `<folder>/<kind>/<64 hex digits of the key>` is one artefact, a checked file (see [`file`]). The folder is `.luxel`
-//! beside the outputs, or one that many scenes, processes and machines share.
+//! beside the outputs, or one that many scenes, processes and machines share. `<folder>/cap` says how much it may hold.
 //!
 //! | module | what it does |
 //! |---|---|
