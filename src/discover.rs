@@ -1,5 +1,6 @@
 //! Which scenes a command line means: files as they are named, and what lies below folders.
 
+use std::collections::BTreeSet;
 use std::io;
 use std::path::{Path, PathBuf};
 
@@ -17,7 +18,7 @@ pub struct Found {
 #[derive(Debug, Default)]
 pub struct Search {
     pub found: Vec<Found>,
-    /// Names that mean no scene, and why.
+    /// Names that mean no scene, and folders that may hold some that were not found; why.
     pub missing: Vec<(PathBuf, DiscoverError)>,
 }
 
@@ -33,25 +34,19 @@ pub enum DiscoverError {
 
 /// Expands files and folders, in the order of naming, folders sorted by path, no scene twice. Folders that hold outputs
 /// (`baked`, and `out` itself), hidden ones and links to folders are not entered; a .glb whose report beside it says that
-/// a bake wrote it is passed over wherever it lies. A name that means no scene stops no other.
+/// a bake wrote it is passed over wherever it lies. A name that means no scene stops no other, and neither does a folder
+/// that cannot be listed: it is among the missing.
 ///
 /// # Errors
 /// No name means a scene: what is wrong with the first.
 pub fn find(paths: &[PathBuf], out: Option<&Path>) -> Result<Search, DiscoverError> {
     let mut search = Search::default();
     let out = out.and_then(|o| o.canonicalize().ok());
+    let (mut seen, mut told) = (BTreeSet::new(), BTreeSet::new());
     for path in paths {
-        match named(path, out.as_deref()) {
-            Ok(scenes) => {
-                for scene in scenes {
-                    if !search.found.iter().any(|f| f.scene == scene.scene) {
-                        search.found.push(scene);
-                    }
-                }
-            }
-            Err(error) if search.missing.iter().any(|(p, _)| p == path) => drop(error),
-            Err(error) => search.missing.push((path.clone(), error)),
-        }
+        let (found, missing) = named(path, out.as_deref());
+        search.found.extend(found.into_iter().filter(|found| seen.insert(place(&found.scene))));
+        search.missing.extend(missing.into_iter().filter(|(path, _)| told.insert(place(path))));
     }
     if search.found.is_empty() && !search.missing.is_empty() {
         return Err(search.missing.swap_remove(0).1);
@@ -59,20 +54,30 @@ pub fn find(paths: &[PathBuf], out: Option<&Path>) -> Result<Search, DiscoverErr
     Ok(search)
 }
 
-/// The scenes of one name.
-fn named(path: &Path, out: Option<&Path>) -> Result<Vec<Found>, DiscoverError> {
+/// Where a file or folder lies, however its folder is spelt: by this, two spellings of one scene are told from two
+/// scenes. A link to a scene is a scene of its own, since its outputs have its name.
+fn place(path: &Path) -> PathBuf {
+    let parent = path.parent().map(|parent| if parent.as_os_str().is_empty() { Path::new(".") } else { parent });
+    match (parent.and_then(|parent| parent.canonicalize().ok()), path.file_name()) {
+        (Some(parent), Some(name)) => parent.join(name),
+        _ => path.canonicalize().unwrap_or_else(|_| path.into()),
+    }
+}
+
+/// The scenes of one name, and what stands in the way of finding more.
+fn named(path: &Path, out: Option<&Path>) -> (Vec<Found>, Vec<(PathBuf, DiscoverError)>) {
     if !path.is_dir() {
         let found = Found { scene: path.into(), root: None };
-        return if path.exists() { Ok(vec![found]) } else { Err(DiscoverError::Missing(path.into())) };
+        let missing = || (path.into(), DiscoverError::Missing(path.into()));
+        return if path.exists() { (vec![found], Vec::new()) } else { (Vec::new(), vec![missing()]) };
     }
     let Below { scenes, closed, .. } = below(path, out);
-    if let Some((path, source)) = closed.into_iter().next() {
-        return Err(DiscoverError::List { path, source });
+    let listed = |(path, source): (PathBuf, io::Error)| (path.clone(), DiscoverError::List { path, source });
+    let mut missing: Vec<_> = closed.into_iter().map(listed).collect();
+    if scenes.is_empty() && missing.is_empty() {
+        missing.push((path.into(), DiscoverError::Empty(path.into())));
     }
-    if scenes.is_empty() {
-        return Err(DiscoverError::Empty(path.into()));
-    }
-    Ok(scenes.into_iter().map(|scene| Found { scene, root: Some(path.into()) }).collect())
+    (scenes.into_iter().map(|scene| Found { scene, root: Some(path.into()) }).collect(), missing)
 }
 
 /// What a folder holds.
@@ -171,6 +176,7 @@ mod tests {
             settings: crate::settings::Resolved { settings, ..Default::default() },
             worker: None,
             store: Default::default(),
+            kept: Default::default(),
         };
         crate::bake(&request, &luxel_scene::Silent).unwrap();
         assert!(out.join("level.glb").exists());
@@ -203,8 +209,29 @@ mod tests {
         assert_eq!(found.scenes, [root.join("a/a.glb"), root.join("z/z.glb")]);
         assert!(found.closed.len() == 1 && found.closed[0].0.starts_with(root.join("deep")), "{:?}", found.closed);
         assert!(!found.folders.contains(&found.closed[0].0));
-        // A bake says that it would leave something out.
-        assert!(matches!(find(&[root], None), Err(DiscoverError::List { .. })));
+        // A bake goes on with what it knows, and says what it leaves out.
+        let Search { found, missing } = find(&[root.clone(), root.join("deep")], None).unwrap();
+        assert_eq!(found.len(), 2);
+        assert!(matches!(&missing[..], [(_, DiscoverError::List { path, .. })] if path.starts_with(root.join("deep"))));
+        let nothing_else = find(&[root.join("deep")], None);
+        assert!(matches!(nothing_else, Err(DiscoverError::List { .. })), "{nothing_else:?}");
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn a_scene_is_found_once_however_it_is_spelt() {
+        let folder = tempfile::tempdir().unwrap();
+        let at = |name: &str| folder.path().join(name);
+        std::fs::create_dir(at("w")).unwrap();
+        std::fs::write(at("w/a.glb"), "").unwrap();
+        std::os::unix::fs::symlink(at("w"), at("v")).unwrap();
+        std::os::unix::fs::symlink(at("w/a.glb"), at("w/b.glb")).unwrap();
+        let names = [at("w/a.glb"), at("w"), at("w/../w"), at("v"), at("v/a.glb")];
+        let found = find(&names, None).unwrap().found;
+        assert_eq!(found.len(), 2, "a link to a scene has outputs of its own: {found:?}");
+        assert_eq!((&found[0].scene, &found[1].scene), (&at("w/a.glb"), &at("w/b.glb")));
+        let twice = find(&[at("none.glb"), at("w/../none.glb"), at("w")], None).unwrap().missing;
+        assert_eq!(twice.len(), 1, "{twice:?}");
     }
 
     #[test]

@@ -28,15 +28,21 @@ pub enum Error {
     Field(#[source] FieldError),
     #[error("cannot write to the folder {path}; choose another one with --out")]
     Folder { path: PathBuf, source: std::io::Error },
-    #[error("{folder} holds the bake itself; choose another folder with --to")]
-    OverBake { folder: PathBuf },
-    #[error("there is no light group `{name}`; the scene has: {groups}")]
+    #[error("an export does not replace {what} in {folder}: choose another folder with --to")]
+    OverBake { folder: PathBuf, what: String },
+    #[error("there is no light group {name:?}; the scene has: {groups}")]
     Group { name: String, groups: String },
     #[error(
-        "the light of the group `{group}` is not stored in {store}: bake the scene with the same settings first (luxel \
+        "the factor {factor:e} makes the light group {name:?} brighter than luxel computes; it can be {most:e} at most"
+    )]
+    Factor { name: String, factor: f32, most: f32 },
+    #[error("its factor makes the light group {name:?} brighter than a lightmap can hold; choose a smaller one")]
+    TooBright { name: String },
+    #[error(
+        "{what} is not stored in {store}: bake the scene with the same settings first (luxel \
          bake), and name its folder or store as then (--out, --store)"
     )]
-    NotStored { group: String, store: PathBuf },
+    NotStored { what: String, store: PathBuf },
     #[error(transparent)]
     Export(ExportError),
     #[error(

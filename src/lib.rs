@@ -36,7 +36,8 @@ pub mod plan;
 pub mod preview;
 pub mod settings;
 pub mod store;
+pub mod text;
 pub mod watch;
 
-pub use bake::{Baked, Lit, Request, bake, bake_drafted, bake_scene, export, plan_file};
+pub use bake::{Baked, Kept, Lit, Request, bake, bake_drafted, bake_scene, export, plan_file};
 pub use error::Error;

@@ -64,7 +64,14 @@ fn run(scene: &[u8], settings: &Settings, look: u64) -> (Result<(), Error>, u64,
     }
     let settings = Resolved { settings: settings.clone(), ..Resolved::default() };
     let looks = Looks::until(look);
-    let request = Request { scene: path, outputs: outputs.clone(), settings, worker: None, store: Default::default() };
+    let request = Request {
+        scene: path,
+        outputs: outputs.clone(),
+        settings,
+        worker: None,
+        store: Default::default(),
+        kept: Default::default(),
+    };
     let ended = bake(&request, &looks).map(drop);
     (ended, looks.made.into_inner(), files(outputs.folder()))
 }

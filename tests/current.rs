@@ -117,6 +117,7 @@ impl Level {
                 settings,
                 worker: None,
                 store: Default::default(),
+                kept: Default::default(),
             },
             &Silent,
         )

@@ -30,7 +30,14 @@ impl Level {
         let outputs = OutputSet::new(&path, None, None).unwrap();
         let settings = Settings { size: Texels(size), gather: GatherMode::Final, ..Settings::preset(Preset::Draft) };
         let settings = Resolved { settings, ..Resolved::default() };
-        let request = Request { scene: path, outputs, settings, worker: None, store: Default::default() };
+        let request = Request {
+            scene: path,
+            outputs,
+            settings,
+            worker: None,
+            store: Default::default(),
+            kept: Default::default(),
+        };
         let level = Self { request, _folder: folder };
         level.save(scene);
         level

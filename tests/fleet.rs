@@ -147,3 +147,64 @@ fn no_scene_at_a_time_is_wrong_usage() {
     let said = luxel(&["bake", "cornell.glb", "--jobs", "0"], folder.path()).ended(2).stderr;
     assert!(said.contains("--jobs"), "{said}");
 }
+
+/// Below a folder, one whose path is too long for the system to list it, whoever asks.
+#[cfg(target_os = "linux")]
+fn unlistable(folder: &std::path::Path) {
+    let chain = |above: &std::path::Path| (0..9).fold(above.to_path_buf(), |path, _| path.join("n".repeat(220)));
+    let (inner, other) = (chain(folder), chain(&folder.join("other")));
+    std::fs::create_dir_all(&inner).unwrap();
+    std::fs::create_dir_all(other.join("m".repeat(220))).unwrap();
+    std::fs::rename(folder.join("other"), inner.join("other")).unwrap();
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn a_folder_that_cannot_be_listed_fails_and_the_others_are_baked() {
+    let folder = levels(2);
+    unlistable(&folder.path().canonicalize().unwrap().join("deep"));
+    let absolute = folder.path().canonicalize().unwrap();
+    let run = quick(&["bake", absolute.to_str().unwrap(), "--json"], folder.path()).ended(1);
+    let events = events(&run.stdout);
+    let done = events.last().unwrap();
+    let failed = done["failed"].as_array().unwrap();
+    assert!(failed.len() == 1 && failed[0].as_str().unwrap().contains("deep"), "{done}");
+    assert_eq!(events.iter().filter(|e| e["event"] == "baked").count(), 2, "{}", run.stdout);
+    let told = events.iter().find(|e| e["event"] == "failed").unwrap();
+    assert!(told["error"].as_str().unwrap().contains("cannot list the folder"), "{told}");
+}
+
+#[cfg(unix)]
+#[test]
+fn a_folder_that_is_named_twice_is_baked_once() {
+    let folder = levels(1);
+    std::os::unix::fs::symlink("even", folder.path().join("link")).unwrap();
+    let run = quick(&["bake", "even", "./even", "link", "--json"], folder.path()).ended(0);
+    let events = events(&run.stdout);
+    let baked: Vec<&Value> = events.iter().filter(|e| e["event"] == "baked").map(|e| &e["scene"]).collect();
+    assert_eq!((baked, &events.last().unwrap()["scenes"]), (vec![&json!("even/level0.gltf")], &1.into()));
+}
+
+/// Names are printed so that they can neither begin a line nor order the terminal about; programs get them as they are.
+#[cfg(unix)]
+#[test]
+fn names_do_not_break_what_is_printed() {
+    let folder = folder(&["cornell.glb"]);
+    let name = "a\n\u{1b}[2Jerror: b.glb";
+    std::fs::rename(folder.path().join("cornell.glb"), folder.path().join(name)).unwrap();
+    std::fs::write(folder.path().join("x\n\u{1b}[2Jy.glb"), "no scene").unwrap();
+    for style in [&[][..], &["--check"]] {
+        let said = quick(&[&["bake", "."], style].concat(), folder.path());
+        assert!(!said.stderr.contains('\u{1b}') && said.stderr.contains("\\u{1b}[2J"), "{}", said.stderr);
+        assert!(!said.stderr.lines().any(|line| line.contains("error: b.glb") && !line.contains("a\\n")));
+        assert!(!said.stderr.lines().any(|line| line.starts_with("y.glb")), "{}", said.stderr);
+    }
+    let plan = quick(&["plan", name], folder.path()).ended(0);
+    assert!(!plan.stdout.contains('\u{1b}') && !plan.stderr.contains('\u{1b}'));
+    let stat = luxel(&["cache", "stat", "."], folder.path()).ended(0);
+    assert!(stat.stdout.contains("total"));
+    let missing = luxel(&["bake", "no\n\u{1b}[2Jfile.glb"], folder.path()).ended(2).stderr;
+    assert!(!missing.contains('\u{1b}') && !missing.lines().any(|line| line.starts_with("file.glb")), "{missing}");
+    let events = events(&quick(&["bake", ".", "--json"], folder.path()).ended(1).stdout);
+    assert_eq!(events[0]["scene"].as_str().unwrap().trim_start_matches("./"), name);
+}

@@ -35,8 +35,17 @@ fn bake_file(path: &Path) -> Result<(), Error> {
     let mut settings = resolve(&[]).unwrap();
     settings.settings = tiny();
     let outputs = OutputSet::new(path, None, None).unwrap();
-    let baked =
-        bake(&Request { scene: path.into(), outputs, settings, worker: None, store: Default::default() }, &Silent)?;
+    let baked = bake(
+        &Request {
+            scene: path.into(),
+            outputs,
+            settings,
+            worker: None,
+            store: Default::default(),
+            kept: Default::default(),
+        },
+        &Silent,
+    )?;
     for file in baked.files.iter().filter(|file| file.extension().is_some_and(|e| e == "exr")) {
         tool::lightmap(file);
     }

@@ -264,6 +264,7 @@ fn a_whole_bake_and_its_plan() {
             settings: resolved,
             worker: None,
             store: Default::default(),
+            kept: Default::default(),
         };
         let laps = Laps::default();
         let before = heap::lap().0;
@@ -329,6 +330,7 @@ fn a_surfel_of_a_whole_bake() {
             settings: Resolved { settings, ..Resolved::default() },
             worker: None,
             store: Default::default(),
+            kept: Default::default(),
         };
         let laps = Laps::default();
         let baked = with_laps(&laps, || luxel::bake(&request, &laps).expect("a bake"));

@@ -2,10 +2,12 @@
 
 mod tool;
 
-use std::path::Path;
+use std::collections::BTreeMap;
+use std::path::PathBuf;
 
 use glam::{DVec3, Vec3};
 use luxel_scene::{LightKind, Scene, build::Builder};
+use serde_json::Value;
 use tempfile::TempDir;
 use tool::{Outputs, Run, luxel};
 
@@ -123,17 +125,112 @@ fn groups_are_named_by_extras_and_the_rest_by_their_nodes() {
 fn what_cannot_be_mixed_is_told() {
     let folder = tempfile::tempdir().unwrap();
     save(&folder, &room(1.0, 1.0, 1.0));
-    let said = quick(&["export", "room.glb", "--mix", "spot=2"], &folder).ended(1).stderr;
-    assert!(said.contains("is not stored") && said.contains("luxel bake"), "{said}");
-    assert!(!Path::new(&folder.path().join("mixed/room.glb")).exists());
     quick(&["bake", "room.glb"], &folder).ended(0);
     let said = quick(&["export", "room.glb", "--mix", "moon=2"], &folder).ended(1).stderr;
-    assert!(said.contains("`moon`") && said.contains("lamp 0, lamp 1, panel, spot"), "{said}");
+    assert!(said.contains("\"moon\"") && said.contains("\"lamp 0\", \"lamp 1\", \"panel\", \"spot\""), "{said}");
     quick(&["export", "room.glb", "--mix", "spot=-1"], &folder).ended(2);
     quick(&["export", "room.glb"], &folder).ended(2);
-    let said = quick(&["export", "room.glb", "--mix", "spot=2", "--to", "baked"], &folder).ended(1).stderr;
-    assert!(said.contains("--to"), "{said}");
+    let said = quick(&["export", "room.glb", "--mix", "spot=3e38"], &folder).ended(1).stderr;
+    assert!(said.contains("\"spot\"") && said.contains("at most"), "{said}");
     // Other settings are other light.
     quick(&["export", "room.glb", "--mix", "spot=2", "--bounces", "2"], &folder).ended(1);
     quick(&["export", "room.glb", "--mix", "spot=2"], &folder).ended(0);
+}
+
+/// Names and contents of everything below a folder, hidden ones too.
+fn everything(folder: &TempDir) -> BTreeMap<PathBuf, Vec<u8>> {
+    let (mut all, mut open) = (BTreeMap::new(), vec![folder.path().to_path_buf()]);
+    while let Some(path) = open.pop() {
+        for entry in std::fs::read_dir(path).unwrap() {
+            let path = entry.unwrap().path();
+            let is_folder = path.is_dir();
+            all.insert(path.clone(), if is_folder { Vec::new() } else { std::fs::read(&path).unwrap() });
+            open.extend(is_folder.then_some(path));
+        }
+    }
+    all
+}
+
+#[test]
+fn what_is_not_stored_is_seen_before_anything_is_made() {
+    let folder = tempfile::tempdir().unwrap();
+    save(&folder, &room(1.0, 1.0, 1.0));
+    let refused = |what: &str| {
+        let before = everything(&folder);
+        let run = quick(&["export", "room.glb", "--mix", "spot=2", "--json"], &folder).ended(1);
+        let events: Vec<Value> = run.stdout.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+        let stages: Vec<&Value> = events.iter().filter(|e| e["event"] == "started").map(|e| &e["stage"]).collect();
+        assert_eq!(stages, ["import"], "{what}: {}", run.stdout);
+        let said = events.iter().find(|e| e["event"] == "failed").unwrap()["error"].as_str().unwrap();
+        assert!(said.contains(what) && said.contains("is not stored") && said.contains("luxel bake"), "{what}: {said}");
+        assert!(everything(&folder) == before, "{what}");
+    };
+    refused("the light of the group \"lamp 0\"");
+    quick(&["bake", "room.glb"], &folder).ended(0);
+    // A stage at a time is missing; the rest of the store is as the bake left it.
+    for (kind, what) in [
+        ("gather", "the light of the group"),
+        ("direct", "the light of the group"),
+        ("clear", "(the stage clear)"),
+        ("unwrap", "the unwrap of"),
+        ("layout", "(the stage unwrap)"),
+    ] {
+        let (there, away) = (folder.path().join("baked/.luxel").join(kind), folder.path().join("away"));
+        std::fs::rename(&there, &away).unwrap();
+        refused(what);
+        std::fs::rename(&away, &there).unwrap();
+    }
+    quick(&["export", "room.glb", "--mix", "spot=2"], &folder).ended(0);
+}
+
+#[test]
+fn an_export_replaces_no_bake_however_its_place_is_spelt() {
+    let folder = tempfile::tempdir().unwrap();
+    save(&folder, &room(1.0, 1.0, 1.0));
+    quick(&["bake", "room.glb"], &folder).ended(0);
+    std::fs::create_dir(folder.path().join("other")).unwrap();
+    std::fs::copy(folder.path().join("room.glb"), folder.path().join("other/room.glb")).unwrap();
+    quick(&["bake", "other/room.glb", "--out", "lit"], &folder).ended(0);
+    let before = everything(&folder);
+    let absolute = folder.path().join("baked").to_str().unwrap().to_owned();
+    for to in ["baked", "./baked", "other/../baked", "none/../baked", absolute.as_str(), "lit"] {
+        let said = quick(&["export", "room.glb", "--mix", "spot=2", "--to", to], &folder).ended(1).stderr;
+        assert!(said.contains("does not replace the bake of room") && said.contains("--to"), "{to}: {said}");
+        assert!(everything(&folder) == before, "{to}");
+    }
+    let said = quick(&["export", "room.glb", "--mix", "spot=2", "--to", "."], &folder).ended(2).stderr;
+    assert!(said.contains("--to") && !said.contains("--out"), "{said}");
+    let both = ["export", "room.glb", "other/room.glb", "--mix", "spot=2", "--to", "both"];
+    let said = quick(&both, &folder).ended(2).stderr;
+    assert!(said.contains("would both write") && said.contains("--to"), "{said}");
+    // What may be a bake is taken for one.
+    std::fs::write(folder.path().join("lit/room.bake.json"), "{").unwrap();
+    let said = quick(&["export", "room.glb", "--mix", "spot=2", "--to", "lit"], &folder).ended(1).stderr;
+    assert!(said.contains("may be a bake"), "{said}");
+    // A mix replaces a mix.
+    for _ in 0..2 {
+        quick(&["export", "room.glb", "--mix", "spot=2", "--to", "dusk"], &folder).ended(0);
+    }
+}
+
+#[test]
+fn a_group_is_named_without_the_blanks_around_its_name() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut document: Value = {
+        save(&folder, &room(1.0, 1.0, 1.0));
+        let bytes = bytes(&folder, "room.glb");
+        let length = u32::from_le_bytes(bytes[12..16].try_into().unwrap()) as usize;
+        std::fs::write(folder.path().join("room.bin"), &bytes[28 + length..]).unwrap();
+        serde_json::from_slice(&bytes[20..20 + length]).unwrap()
+    };
+    document["buffers"][0]["uri"] = "room.bin".into();
+    for node in document["nodes"].as_array_mut().unwrap() {
+        if ["spot", "panel"].contains(&node["name"].as_str().unwrap_or_default()) {
+            node["name"] = format!("{} ", node["name"].as_str().unwrap()).into();
+        }
+    }
+    std::fs::remove_file(folder.path().join("room.glb")).unwrap();
+    std::fs::write(folder.path().join("room.gltf"), document.to_string()).unwrap();
+    quick(&["bake", "room.gltf"], &folder).ended(0);
+    quick(&["export", "room.gltf", "--mix", "spot=2,panel=0.5"], &folder).ended(0);
 }

@@ -3,6 +3,9 @@
 //!
 //! Some tests run themselves again as child processes, told by the environment what to do.
 
+#[path = "tool/skip.rs"]
+mod skip;
+
 use std::ffi::OsString;
 use std::fs;
 use std::io::{Read, Write};
@@ -184,23 +187,45 @@ fn a_file_in_the_place_of_the_folder_costs_reuse_alone() {
 #[test]
 fn a_read_only_store_is_read_and_nothing_else() {
     use std::os::unix::fs::PermissionsExt;
+    let name = "a_read_only_store_is_read_and_nothing_else";
+    if let Some(folder) = role() {
+        return read_only(Path::new(&folder));
+    }
     let folder = tempfile::tempdir().unwrap();
     put(&Store::new(folder.path()), &key(1), BODY).unwrap();
-    let kind = folder.path().join(KIND.name());
-    let set = |mode: u32| fs::set_permissions(&kind, fs::Permissions::from_mode(mode)).unwrap();
+    let folders = [folder.path().join(KIND.name()), folder.path().into()];
+    let set =
+        |mode: u32| folders.iter().for_each(|f| fs::set_permissions(f, fs::Permissions::from_mode(mode)).unwrap());
     set(0o555);
-    let binds = fs::write(kind.join("probe"), "x").is_err();
-    let store = Store::new(folder.path()).with_cap(0);
-    let (found, written) = (get(&store, &key(1)), put(&store, &key(2), BODY));
-    let notes = store.take_notes();
+    let binds = skip::is_bound(&folders[0]);
+    // Root is bound by permissions once it has given up its privileges.
+    let bound = if binds { Some(Command::new("env")) } else { skip::unprivileged() };
+    let Some(mut bound) = bound else {
+        set(0o755);
+        return skip::skipped("read-only folders do not bind this user; a file in the folder's place stands for them");
+    };
+    bound.arg(std::env::current_exe().unwrap()).args([name, "--exact", "--nocapture"]);
+    bound.env("LUXEL_STORE_FOLDER", folder.path()).stdout(Stdio::piped()).stderr(Stdio::piped());
+    let said = ended_well(bound.spawn().unwrap());
     set(0o755);
-    assert_eq!(found.unwrap(), BODY);
-    if !binds {
-        println!("skipped: read-only folders do not bind this user; a file in the folder's place stands for them");
-        return;
-    }
-    assert_eq!(written, None);
+    assert!(said.contains("only read"), "{said}");
+}
+
+/// Uses a store that may only be read.
+#[cfg(unix)]
+fn read_only(folder: &Path) {
+    assert!(fs::write(folder.join(KIND.name()).join("probe"), "x").is_err(), "permissions bind");
+    let store = Store::new(folder).with_cap(u64::MAX);
+    assert_eq!((get(&store, &key(1)).unwrap(), put(&store, &key(2), BODY)), (BODY.to_vec(), None));
+    store.evict();
+    let notes = store.take_notes();
     assert!(notes.len() == 1 && notes[0].contains("cannot be written"), "{notes:?}");
+    let store = Store::new(folder).with_cap(0);
+    assert!(store.keep_cap().is_err() && Store::new(folder).kept_cap().unwrap().is_none());
+    store.evict();
+    let notes = store.take_notes();
+    assert!(notes.len() == 1 && notes[0].contains("cannot be kept below its cap"), "{notes:?}");
+    println!("only read");
 }
 
 #[cfg(unix)]
@@ -211,8 +236,7 @@ fn a_pipe_in_the_place_of_an_artefact_keeps_nobody_waiting() {
     let path = store.path(KIND, &key(1));
     fs::create_dir_all(path.parent().unwrap()).unwrap();
     if !Command::new("mkfifo").arg(&path).status().is_ok_and(|status| status.success()) {
-        println!("skipped: no pipe can be made here");
-        return;
+        return skip::skipped("no pipe can be made here");
     }
     assert!(!store.has(KIND, &key(1)) && get(&store, &key(1)).is_none());
     assert_eq!(store.verify(&Silent).unwrap().bad.len(), 1);
@@ -264,23 +288,12 @@ fn a_full_disk_costs_reuse_alone() {
     }
     let folder = tempfile::tempdir().unwrap();
     let mount = "mount -t tmpfs -o size=256k luxel \"$LUXEL_STORE_FOLDER\" || exit 77; exec \"$0\" \"$@\"";
-    let mut command = Command::new("unshare");
-    command.args(["--mount", "sh", "-c", mount]).arg(std::env::current_exe().unwrap());
+    let Some(mut command) = skip::mounting() else { return skip::skipped("no file system can be mounted here") };
+    command.args(["sh", "-c", mount]).arg(std::env::current_exe().unwrap());
     command.args(["a_full_disk_costs_reuse_alone", "--exact", "--nocapture"]);
     command.env("LUXEL_STORE_FOLDER", folder.path()).stdout(Stdio::piped()).stderr(Stdio::piped());
-    let output = command.output();
-    // Nothing was run where unshare or mount were refused.
-    let is_refused = |output: &std::process::Output| {
-        output.status.code() == Some(77) || (output.status.code() == Some(1) && output.stdout.is_empty())
-    };
-    match output {
-        Ok(output) if !is_refused(&output) => {
-            let said = String::from_utf8_lossy(&output.stdout);
-            let failed = String::from_utf8_lossy(&output.stderr);
-            assert!(output.status.success() && said.contains("filled up"), "{said}\n{failed}");
-        }
-        refused => println!("skipped: no file system can be mounted here: {refused:?}"),
-    }
+    let said = ended_well(command.spawn().unwrap());
+    assert!(said.contains("filled up"), "{said}");
 }
 
 /// Looks for artefacts and makes those that are missing, as bakes do; says how often which was so.
@@ -449,4 +462,48 @@ fn the_tool_counts_verifies_and_cleans_stores() {
     }
     let (code, out, _) = luxel(&["cache", "stat", "nowhere", "--json"], folder.path());
     assert_eq!((code, &events(&out)[0]["event"]), (Some(2), &"usage".into()));
+}
+
+#[test]
+fn the_cap_belongs_to_the_store() {
+    let folder = tempfile::tempdir().unwrap();
+    let shared = folder.path().join("shared");
+    for number in 0..4 {
+        put(&Store::new(&shared), &key(number), BODY).unwrap();
+        let path = Store::new(&shared).path(KIND, &key(number));
+        let then = SystemTime::now() - Duration::from_secs(86_400);
+        fs::File::options().write(true).open(path).unwrap().set_modified(then).unwrap();
+    }
+    let files = || Store::new(&shared).stat().unwrap().total.files;
+    let stat = || events(&luxel(&["cache", "stat", "--store", "shared", "--json"], folder.path()).1).remove(0);
+    assert_eq!((&stat()["cap"], &stat()["kept"]), (&luxel::store::DEFAULT_CAP.into(), &false.into()));
+    // As somebody had it: the file is what is kept, and gc without a cap goes by it.
+    fs::write(shared.join(luxel::store::CAP_FILE), "250\n").unwrap();
+    assert_eq!((&stat()["cap"], &stat()["kept"]), (&250.into(), &true.into()));
+    assert_eq!(luxel(&["cache", "gc", "--store", "shared"], folder.path()).0, Some(0));
+    assert_eq!(files(), 2);
+    assert_eq!(luxel(&["cache", "gc", "--store", "shared", "--cap", "50GiB"], folder.path()).0, Some(0));
+    assert_eq!(stat()["cap"], 50u64 << 30);
+    assert_eq!(luxel(&["cache", "gc", "--store", "shared", "--cap", "0"], folder.path()).0, Some(0));
+    assert_eq!((files(), stat()["cap"].as_u64()), (0, Some(50 << 30)), "it was emptied and not closed");
+    fs::write(shared.join(luxel::store::CAP_FILE), "much").unwrap();
+    let (code, _, err) = luxel(&["cache", "gc", "--store", "shared"], folder.path());
+    assert!(code == Some(1) && err.contains("cap") && err.contains("anew"), "{code:?} {err}");
+    let (code, out, _) = luxel(&["cache", "stat", "--store", "shared"], folder.path());
+    assert!(code == Some(1) && out.contains("total"), "{code:?} {out}");
+}
+
+#[test]
+fn a_folder_that_gc_cannot_remove_is_told_once_and_an_empty_one_goes() {
+    let folder = tempfile::tempdir().unwrap();
+    let store = Store::new(folder.path().join("baked/.luxel"));
+    fs::create_dir_all(store.path(KIND, &key(1)).join("mine")).unwrap();
+    fs::create_dir_all(store.path(KIND, &key(2))).unwrap();
+    let (code, _, err) = luxel(&["cache", "verify"], folder.path());
+    assert!(code == Some(1) && err.matches("remove this folder yourself").count() == 1, "{err}");
+    let (code, _, err) = luxel(&["cache", "gc", "--cap", "0"], folder.path());
+    assert!(code == Some(1) && err.matches("remove this folder yourself").count() == 1, "{err}");
+    assert!(!store.path(KIND, &key(2)).exists() && store.path(KIND, &key(1)).join("mine").exists());
+    fs::remove_dir_all(store.path(KIND, &key(1))).unwrap();
+    assert_eq!(luxel(&["cache", "gc", "--cap", "0"], folder.path()).0, Some(0));
 }

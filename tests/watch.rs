@@ -406,7 +406,14 @@ fn bake_before(scene: &Path) {
     let settings = luxel::settings::Layer::new(luxel::settings::Origin::CommandLine);
     let settings = luxel::settings::for_scene(scene, None, &settings).unwrap();
     let outputs = luxel_export::OutputSet::new(scene, None, None).unwrap();
-    let request = luxel::Request { scene: scene.into(), outputs, settings, worker: None, store: Default::default() };
+    let request = luxel::Request {
+        scene: scene.into(),
+        outputs,
+        settings,
+        worker: None,
+        store: Default::default(),
+        kept: Default::default(),
+    };
     luxel::bake(&request, &luxel_scene::Silent).unwrap();
 }
 

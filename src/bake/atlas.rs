@@ -1,14 +1,16 @@
 //! From a scene to its atlas: unwraps and the place of every chart are read where they are stored.
 
+use std::sync::Arc;
+
 use luxel_atlas::layout::Source;
 use luxel_atlas::{Atlas, AtlasReport, AtlasSettings, Charts, Layout, Packing, Placement, Unwrapper, Unwraps};
 use luxel_export::report::StageState;
-use luxel_scene::{Mesh, Progress, Scene};
+use luxel_scene::{Instance, Mesh, Progress, Scene};
 
 use super::Baking;
 use super::artefact::{body, put_value};
 use super::journal::{Counters, Journal};
-use super::{keys, report};
+use super::{foresee, keys, report};
 use crate::Error;
 use crate::plan::Stage;
 use crate::settings::Settings;
@@ -20,18 +22,26 @@ pub fn run(
     scene: &Scene,
     unwrapper: &dyn Unwrapper,
     journal: &mut Journal,
-) -> Result<(Atlas, AtlasReport), Error> {
+) -> Result<(Arc<Atlas>, AtlasReport), Error> {
     let plan = baking.plan;
     if !plan.runs(Stage::Unwrap) {
         journal.left_out(plan, Stage::Unwrap);
         // Without an unwrap no instance has a place, and the atlas still says so of every one of them.
-        return Ok((Atlas { placed: vec![None; scene.instances.len()], ..Atlas::default() }, AtlasReport::default()));
+        let atlas = Atlas { placed: vec![None; scene.instances.len()], ..Atlas::default() };
+        return Ok((Arc::new(atlas), AtlasReport::default()));
     }
     let reason = plan.reason(Stage::Unwrap).to_owned();
     let (atlas, report) = journal.made(Stage::Unwrap, &reason, None, |progress, counters| {
         let layout = Layout::build(scene, progress)?;
+        if let Some((atlas, report)) = kept(baking, scene, &layout) {
+            count(&atlas, &report, unwrapped(scene, &layout).len(), counters);
+            return Ok(((atlas, report), StageState::Reused));
+        }
         let mut unwraps = Unwraps::new();
         let stored = read_unwraps(baking.store, scene, &layout, &mut unwraps);
+        for instance in missing(scene, &layout, &unwraps) {
+            baking.may_make_part(|| foresee::unwrap_of(&instance.name))?;
+        }
         layout.complete(scene, &mut unwraps, unwrapper, progress)?;
         let new = unwraps.len() - stored.len();
         write_unwraps(baking.store, scene, &layout, &unwraps, &stored, progress)?;
@@ -39,6 +49,10 @@ pub fn run(
         let packing = Packing::new(scene, &how, &layout, &unwraps, progress)?;
         let (placement, is_stored) = placement(baking, &packing, progress)?;
         let (atlas, report) = packing.fill(&placement, progress)?;
+        let atlas = Arc::new(atlas);
+        if let Some(kept) = baking.kept.filter(|_| unwraps.values().all(Charts::is_reproducible)) {
+            kept.keep(&baking.keys.layout, &atlas, &report);
+        }
         count(&atlas, &report, stored.len(), counters);
         let state = if new == 0 && is_stored { StageState::Reused } else { StageState::Ran };
         Ok(((atlas, report), state))
@@ -47,6 +61,16 @@ pub fn run(
         journal.explain(Stage::Unwrap, &format!("{reason}; {}", report::layouts(&report)));
     }
     Ok((atlas, report))
+}
+
+/// The atlas that was kept in memory. Its artefacts serve as if they had been read.
+fn kept(baking: &Baking, scene: &Scene, layout: &Layout) -> Option<(Arc<Atlas>, AtlasReport)> {
+    let kept = baking.kept?.atlas(&baking.keys.layout)?;
+    if let Some(store) = baking.store {
+        store.touch(Kind::Layout, &baking.keys.layout);
+        unwrapped(scene, layout).values().for_each(|mesh| store.touch(Kind::Unwrap, &keys::unwrap(mesh)));
+    }
+    Some(kept)
 }
 
 pub fn settings(settings: &Settings) -> AtlasSettings {
@@ -76,6 +100,12 @@ fn unwrapped<'a>(scene: &'a Scene, layout: &Layout) -> std::collections::BTreeMa
         Source::None | Source::Authored(_) => None,
     });
     meshes.collect()
+}
+
+/// Objects whose meshes are still to be unwrapped.
+fn missing<'a>(scene: &'a Scene, layout: &'a Layout, unwraps: &'a Unwraps) -> impl Iterator<Item = &'a Instance> {
+    let open = |(_, source): &(&Instance, &Source)| matches!(source, Source::Unwrap(key) if !unwraps.contains_key(key));
+    scene.instances.iter().zip(&layout.sources).filter(open).map(|(instance, _)| instance)
 }
 
 /// Adds stored unwraps; returns the meshes that have one.
@@ -123,6 +153,7 @@ fn placement(baking: &Baking, packing: &Packing, progress: &dyn Progress) -> Res
     if let Some(placement) = baking.store.and_then(|store| store.get(Kind::Layout, key, read)) {
         return Ok((placement, true));
     }
+    baking.may_make_part(|| foresee::LAYOUT.into())?;
     let placement = packing.place(progress)?;
     if let Some(store) = baking.store {
         store.put(Kind::Layout, key, |out| put_value(out, &placement));

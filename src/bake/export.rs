@@ -13,8 +13,11 @@ use super::journal::Journal;
 use super::tracer::Tracer;
 use super::{Baking, Lit, Request};
 use crate::Error;
+use crate::current::{self, Reason};
 use crate::plan::{Plan, Stage};
 use crate::preview::{Picture, Preview};
+use crate::store::TEMPORARY;
+use crate::text;
 
 /// The encoded preview picture; none where nothing receives light.
 pub fn preview(baking: &Baking, tracer: &Tracer, lit: &Lit, journal: &mut Journal) -> Result<Option<Vec<u8>>, Error> {
@@ -83,8 +86,28 @@ pub fn probe(outputs: &OutputSet) -> Result<(), Error> {
 }
 
 /// Sees that a file can be written into a folder.
-pub fn can_write(folder: &Path) -> std::io::Result<()> {
-    tempfile::NamedTempFile::new_in(folder)?.close()
+fn can_write(folder: &Path) -> std::io::Result<()> {
+    probe_file(folder)?.close()
+}
+
+/// A file under a name by which [`crate::store::sweep`] knows it, should nobody come to remove it.
+fn probe_file(folder: &Path) -> std::io::Result<tempfile::NamedTempFile> {
+    let (prefix, suffix) = TEMPORARY;
+    tempfile::Builder::new().prefix(prefix).suffix(suffix).tempfile_in(folder)
+}
+
+/// Sees that no bake lies where an export's files go: light as it was baked is not replaced by light that was weighed.
+///
+/// # Errors
+/// A report lies there that is not that of an export, or that cannot be read and so may be that of a bake.
+pub fn spare_bake(outputs: &OutputSet) -> Result<(), Error> {
+    let over = |what: String| Err(Error::OverBake { folder: outputs.folder().into(), what });
+    match current::report(outputs) {
+        Err(Reason::Unbaked) => Ok(()),
+        Err(reason) => over(format!("what may be a bake ({reason})")),
+        Ok(report) if report.mix.is_empty() => over(format!("the bake of {}", text::plain(outputs.stem()))),
+        Ok(_) => Ok(()),
+    }
 }
 
 /// Writes all files; returns them in the order of writing.
@@ -97,4 +120,23 @@ pub fn write(
     outputs.write(images, &glb, report, progress)?;
     let listed = report.outputs.iter().map(|o| outputs.folder().join(&o.path));
     Ok(listed.chain([outputs.report()]).collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::store::{LEFTOVER_AGE, sweep};
+    use std::time::SystemTime;
+
+    #[test]
+    fn the_probe_of_a_killed_bake_is_swept() {
+        let folder = tempfile::tempdir().unwrap();
+        can_write(folder.path()).unwrap();
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
+        let (_file, path) = probe_file(folder.path()).unwrap().keep().unwrap();
+        let old = SystemTime::now() - 2 * LEFTOVER_AGE;
+        std::fs::File::options().write(true).open(&path).unwrap().set_modified(old).unwrap();
+        sweep(folder.path());
+        assert!(!path.exists());
+    }
 }

@@ -3,6 +3,7 @@
 use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::io::{self, Write};
+use std::sync::Arc;
 
 use luxel_atlas::{Atlas, AtlasReport, FinishReport, FinishSettings, Image, finish};
 use luxel_export::{BoundMap, Lightmap};
@@ -60,7 +61,7 @@ pub struct Finished {
 
 impl Finished {
     /// The result of a bake for which nothing was gathered: its light lies in its images alone.
-    pub fn lit(self, atlas: Atlas, atlas_report: AtlasReport) -> Lit {
+    pub fn lit(self, atlas: Arc<Atlas>, atlas_report: AtlasReport) -> Lit {
         let Self { summary: Summary { sums, surfels, record, .. }, lightmaps, bounds } = self;
         let transport = Facts { surfels, record };
         Lit { atlas, atlas_report, texels: TexelLight::default(), lightmaps, bounds, sums, transport }

@@ -1,10 +1,12 @@
 //! What a bake would reuse, found out without baking: by the keys that the bake asks the store for.
 
 use luxel_atlas::{Layout, layout::Source};
-use luxel_scene::Scene;
+use luxel_scene::{Progress, Scene};
 
 use super::groups::{Group, Lighting};
 use super::keys::{self, GroupKeys, Keys};
+use super::light_of;
+use crate::Error;
 use crate::plan::{Plan, Stage};
 use crate::store::{Kind, Store};
 
@@ -45,12 +47,66 @@ pub fn gathers(plan: &Plan, store: &Store, lighting: &Lighting, keys: &Keys) -> 
     plan.runs(Stage::Clear) && !lighting.groups.is_empty() && (run.clear || run.direct || sky || run.gather)
 }
 
+/// What an export says where it is not stored which texels are buried.
+pub const CLEARED: &str = "which texels are buried (the stage clear)";
+
+/// What an export of stored light needs and would not find, the first of it; nothing is made or written.
+///
+/// # Errors
+/// It was cancelled.
+pub fn missing(
+    plan: &Plan,
+    store: &Store,
+    scene: &Scene,
+    lighting: &Lighting,
+    keys: &Keys,
+    progress: &dyn Progress,
+) -> Result<Option<String>, Error> {
+    let is_finished = !plan.runs(Stage::Finish) || store.has(Kind::Finish, &keys.finish);
+    if plan.runs(Stage::Clear) && !lighting.groups.is_empty() && !is_finished {
+        for (group, own) in lighting.groups.iter().zip(&keys.groups) {
+            progress.check()?;
+            if !is_lit(plan, store, (group, own), keys) {
+                return Ok(Some(light_of(&group.name)));
+            }
+        }
+        if !store.has(Kind::Clear, &keys.clear) {
+            return Ok(Some(CLEARED.into()));
+        }
+    }
+    if !plan.runs(Stage::Unwrap) {
+        return Ok(None);
+    }
+    let layout = Layout::build(scene, progress)?;
+    for (instance, source) in scene.instances.iter().zip(&layout.sources) {
+        progress.check()?;
+        let mesh = &scene.meshes[instance.mesh];
+        if matches!(source, Source::Unwrap(_)) && !store.has(Kind::Unwrap, &keys::unwrap(mesh)) {
+            return Ok(Some(unwrap_of(&instance.name)));
+        }
+    }
+    Ok((!store.has(Kind::Layout, &keys.layout)).then(|| LAYOUT.into()))
+}
+
+/// What an export says of an object whose unwrap it misses.
+pub fn unwrap_of(object: &str) -> String {
+    format!("the unwrap of {object:?}")
+}
+
+/// What an export says where it is not stored how the atlas is laid out.
+pub const LAYOUT: &str = "the layout of the atlas (the stage unwrap)";
+
 /// All light of a group at texels is stored, and where these are.
 pub fn is_stored(plan: &Plan, store: &Store, (group, own): (&Group, &GroupKeys), keys: &Keys) -> bool {
-    let mut run = Run { clear: !store.has(Kind::Clear, &keys.clear), ..Run::default() };
-    run.sky = group.sky.is_some() && plan.runs(Stage::Sky) && !store.has(Kind::Sky, &keys.sky);
+    store.has(Kind::Clear, &keys.clear) && is_lit(plan, store, (group, own), keys)
+}
+
+/// All light of a group at texels is stored.
+fn is_lit(plan: &Plan, store: &Store, (group, own): (&Group, &GroupKeys), keys: &Keys) -> bool {
+    let sky = group.sky.is_some() && plan.runs(Stage::Sky) && !store.has(Kind::Sky, &keys.sky);
+    let mut run = Run { sky, ..Run::default() };
     run.group(plan, store, group, own, keys);
-    !(run.clear || run.direct || run.sky || run.gather)
+    !(run.direct || run.sky || run.gather)
 }
 
 /// Which stages would run, for one light group at least.

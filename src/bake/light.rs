@@ -64,6 +64,12 @@ impl Parts {
         self.direct[texel] + self.indirect[texel]
     }
 
+    /// Whether no sum of sources is beyond what a number can hold.
+    pub fn is_finite(&self) -> bool {
+        let is_bounded = self.bound.iter().all(|bound| bound.is_finite());
+        is_bounded && (0..self.direct.len()).all(|texel| self.total(texel).is_finite())
+    }
+
     /// The light of stronger sources, by band. A bound is that of the band mean: the strongest band bounds it.
     pub fn scaled(mut self, factor: Rgb) -> Self {
         self.direct.iter_mut().chain(&mut self.indirect).for_each(|e| *e *= factor);

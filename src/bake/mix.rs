@@ -3,6 +3,8 @@
 use std::collections::BTreeMap;
 use std::str::FromStr;
 
+use luxel_scene::import::power::BRIGHTEST;
+
 use super::groups::Lighting;
 use crate::Error;
 
@@ -66,15 +68,21 @@ impl Mix {
     /// Weighs the groups of a scene; returns the weight of every one of them.
     ///
     /// # Errors
-    /// A name that is no group of the scene.
+    /// A name that is no group of the scene; a factor that makes a group brighter than any light of a scene may be.
     pub fn weigh(&self, lighting: &mut Lighting) -> Result<BTreeMap<String, f64>, Error> {
-        let names = || lighting.groups.iter().map(|g| g.name.clone()).collect::<Vec<_>>().join(", ");
+        let names = || lighting.groups.iter().map(|g| format!("{:?}", g.name)).collect::<Vec<_>>().join(", ");
         if let Some(name) = self.0.keys().find(|name| !lighting.groups.iter().any(|g| g.name == **name)) {
             return Err(Error::Group { name: name.clone(), groups: names() });
         }
         let mut weights = BTreeMap::new();
         for group in &mut lighting.groups {
             let weight = self.0.get(&group.name).copied().unwrap_or(1.0);
+            let strength = group.factor.max_element();
+            // What nobody makes brighter is as the scene has it.
+            if weight > 1.0 && f64::from(strength) * f64::from(weight) > f64::from(BRIGHTEST) {
+                let most = (BRIGHTEST / strength).max(1.0);
+                return Err(Error::Factor { name: group.name.clone(), factor: weight, most });
+            }
             group.factor *= weight;
             weights.insert(group.name.clone(), weight.into());
         }
@@ -85,6 +93,8 @@ impl Mix {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::bake::groups::Group;
+    use glam::Vec3;
 
     #[test]
     fn weights_are_read_whatever_the_names() {
@@ -101,5 +111,24 @@ mod tests {
         }
         let sun: Mix = "sun=1".parse().unwrap();
         assert_eq!(sun.clone().and(sun).unwrap_err(), MixError::Twice("sun".into()));
+    }
+
+    #[test]
+    fn a_factor_that_no_light_of_a_scene_could_have_names_its_group() {
+        let group = |name: &str, factor: f32| Group {
+            name: name.into(),
+            factor: Vec3::new(factor, 0.0, 1.0),
+            ..Group::default()
+        };
+        let lighting = || Lighting { groups: vec![group("lamp", 50.0), group("off", 0.0)], ..Lighting::default() };
+        let weigh = |mix: &str| mix.parse::<Mix>().unwrap().weigh(&mut lighting());
+        for wrong in ["lamp=3e38", "lamp=2.1e18", "off=1.1e20"] {
+            let error = weigh(wrong).unwrap_err();
+            let (name, _) = wrong.split_once('=').unwrap();
+            assert!(matches!(&error, Error::Factor { name: said, .. } if said == name), "{error}");
+        }
+        assert_eq!(weigh("lamp=1.9e18,off=0").unwrap()["lamp"], f64::from(1.9e18f32));
+        let said = weigh("lmap=1").unwrap_err().to_string();
+        assert!(said.contains("\"lmap\"") && said.ends_with("\"lamp\", \"off\""), "{said}");
     }
 }

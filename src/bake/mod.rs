@@ -11,6 +11,7 @@ mod foresee;
 mod groups;
 mod input;
 pub mod journal;
+mod kept;
 mod keys;
 mod light;
 mod memory;
@@ -29,6 +30,7 @@ use std::collections::BTreeMap;
 use std::io;
 use std::panic::AssertUnwindSafe;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::time::Instant;
 
 use luxel_atlas::{Atlas, AtlasReport, InProcess, Worker};
@@ -43,6 +45,7 @@ use crate::store::{self, Key, Kind, Store, StoreOptions, Writer};
 use finish::Seams;
 use groups::Lighting;
 use journal::Journal;
+pub use kept::Kept;
 use keys::Keys;
 use light::Parts;
 pub use light::TexelLight;
@@ -67,6 +70,8 @@ pub struct Request {
     pub worker: Option<PathBuf>,
     /// Where artefacts of its stages are kept for later bakes.
     pub store: StoreOptions,
+    /// What is kept in memory for later bakes by whoever bakes again and again: a clone of one and the same.
+    pub kept: Kept,
 }
 
 /// A finished bake. Its light lies in its files; [`bake_scene`] hands it over instead.
@@ -85,7 +90,7 @@ pub struct Baked {
 /// A scene's light at its texels.
 #[derive(Debug, Default)]
 pub struct Lit {
-    pub atlas: Atlas,
+    pub atlas: Arc<Atlas>,
     pub atlas_report: AtlasReport,
     /// By texel of the atlas, before dilation and stitching; empty where images are all that is kept.
     pub texels: TexelLight,
@@ -112,6 +117,7 @@ struct Baking<'a> {
     lighting: &'a Lighting,
     keys: &'a Keys,
     store: Option<&'a Store>,
+    kept: Option<&'a Kept>,
     /// Light that is not stored is not made either.
     only_stored: bool,
 }
@@ -130,15 +136,23 @@ impl Baking<'_> {
         Ok(written)
     }
 
-    /// To be asked before the light of a group is made.
-    fn may_make(&self, group: &str) -> Result<(), Error> {
+    /// To be asked before anything is made that an export has to find in the store.
+    fn may_make_part(&self, what: impl FnOnce() -> String) -> Result<(), Error> {
         match self.store {
-            Some(store) if self.only_stored => {
-                Err(Error::NotStored { group: group.into(), store: store.folder().into() })
-            }
+            Some(store) if self.only_stored => Err(not_stored(store, what())),
             _ => Ok(()),
         }
     }
+
+    /// To be asked before the light of a group is made.
+    fn may_make(&self, group: &str) -> Result<(), Error> {
+        self.may_make_part(|| light_of(group))
+    }
+}
+
+/// What an export says of a group whose light it misses.
+fn light_of(group: &str) -> String {
+    format!("the light of the group {group:?}")
 }
 
 /// Bakes a scene file to files (the chain is shown in the crate's documentation). When it fails or is cancelled, the
@@ -168,8 +182,10 @@ pub fn bake_drafted(
 /// Writes the outputs of a bake with other weights of its light groups, from their stored light alone.
 ///
 /// # Errors
-/// As a bake; a group that the scene does not have; light that is not stored.
+/// As a bake; a group that the scene does not have, or that would become too bright; anything that is not stored, which
+/// is seen before anything is computed or written; a bake that lies where the outputs go.
 pub fn export(request: &Request, mix: &Mix, progress: &dyn Progress) -> Result<Baked, Error> {
+    export::spare_bake(&request.outputs)?;
     let order = Order { mix: Some(mix), ..Order::default() };
     begin(request, order, &Alone(request.settings.settings.threads.0), progress)
 }
@@ -220,20 +236,27 @@ fn run(
     let keys = Keys::new(&scene, &lighting, settings, &plan);
     journal.cause = cause::of(&request.outputs, &keys, &request.settings);
     progress.check()?;
+    let store = request.store.open(request.outputs.folder());
+    if mix.is_some() {
+        let missing = foresee::missing(&plan, &store, &scene, &lighting, &keys, progress)?;
+        missing.map_or(Ok(()), |what| Err(not_stored(&store, what)))?;
+    }
     let geometry = Geometry::new(&scene);
     progress.check()?;
     export::probe(&request.outputs)?;
-    let store = request.store.open(request.outputs.folder());
+    store.keep_cap_or_note();
+    let _tidied = Tidy { store: &store, folder: request.outputs.folder() };
     let baking = Baking {
         settings,
         plan: &plan,
         lighting: &lighting,
         keys: &keys,
         store: Some(&store),
+        kept: Some(&request.kept),
         only_stored: mix.is_some(),
     };
     let tracer = Tracer::new(&geometry);
-    let (mut atlas, mut atlas_report) = match &request.worker {
+    let (atlas, atlas_report) = match &request.worker {
         Some(path) => atlas::run(&baking, &scene, &worker(path), &mut journal)?,
         None => atlas::run(&baking, &scene, &InProcess, &mut journal)?,
     };
@@ -241,19 +264,33 @@ fn run(
     let mut besides = 0.0;
     if let Some(drafted) = drafted.filter(|_| foresee::gathers(&plan, &store, &lighting, &keys)) {
         let begun = start.elapsed();
-        let baked;
-        (baked, atlas, atlas_report) = draft::bake(&outgoing, &baking, (atlas, atlas_report), &mut journal)?;
-        drafted(baked);
+        drafted(draft::bake(&outgoing, &baking, (atlas.clone(), atlas_report.clone()), &mut journal)?);
         besides = (start.elapsed() - begun).as_secs_f64();
     }
     let lit = light(&baking, &tracer, (atlas, atlas_report), Keep::Images, &mut journal)?;
     let picture = export::preview(&baking, &tracer, &lit, &mut journal)?;
     let figures = (store.take_notes(), start.elapsed().as_secs_f64() - besides);
     let mut baked = outgoing.write(&baking, &lit, picture.as_deref(), Effort::Small, figures, journal)?;
-    store.evict();
-    store::sweep(request.outputs.folder());
     baked.seconds -= besides;
     Ok(baked)
+}
+
+/// Keeps a store below its cap, and a folder of outputs free of what killed bakes left there, when a bake is over:
+/// however it ends, it has put artefacts into the store.
+struct Tidy<'a> {
+    store: &'a Store,
+    folder: &'a Path,
+}
+
+impl Drop for Tidy<'_> {
+    fn drop(&mut self) {
+        self.store.evict();
+        store::sweep(self.folder);
+    }
+}
+
+fn not_stored(store: &Store, what: String) -> Error {
+    Error::NotStored { what, store: store.folder().into() }
 }
 
 /// Whether the result depends on the setting of this name: the number of threads changes no byte.
@@ -269,8 +306,15 @@ pub fn bake_scene(scene: &Scene, settings: &Settings, progress: &dyn Progress) -
         let plan = Plan::new(&scene, settings);
         let keys = Keys::new(&scene, &lighting, settings, &plan);
         let geometry = Geometry::new(&scene);
-        let baking =
-            Baking { settings, plan: &plan, lighting: &lighting, keys: &keys, store: None, only_stored: false };
+        let baking = Baking {
+            settings,
+            plan: &plan,
+            lighting: &lighting,
+            keys: &keys,
+            store: None,
+            kept: None,
+            only_stored: false,
+        };
         let mut journal = Journal::new(progress);
         let laid_out = atlas::run(&baking, &scene, &InProcess, &mut journal)?;
         light(&baking, &Tracer::new(&geometry), laid_out, Keep::Texels, &mut journal)
@@ -310,7 +354,7 @@ pub fn plan_file(
 fn light(
     baking: &Baking,
     tracer: &Tracer,
-    (atlas, atlas_report): (Atlas, AtlasReport),
+    (atlas, atlas_report): (Arc<Atlas>, AtlasReport),
     keep: Keep,
     journal: &mut Journal,
 ) -> Result<Lit, Error> {
@@ -342,7 +386,11 @@ fn texel_light(
     if plan.runs(Stage::Clear) && !lighting.groups.is_empty() {
         let key = &baking.keys.clear;
         let store = baking.store.map(|store| (store, key));
-        let receivers = Receivers::new(tracer, atlas, settings, plan, store, journal)?;
+        let receivers = match store.filter(|_| baking.only_stored) {
+            Some((store, key)) => Receivers::stored(tracer, atlas, settings, plan, (store, key), journal)
+                .ok_or_else(|| not_stored(store, foresee::CLEARED.into()))?,
+            None => Receivers::new(tracer, atlas, settings, plan, store, journal)?,
+        };
         for (number, group) in lighting.groups.iter().enumerate() {
             journal.group = (lighting.groups.len() > 1).then(|| group.name.clone());
             let parts =
@@ -350,6 +398,10 @@ fn texel_light(
             match &mut sum {
                 Some(sum) => sum.add(&parts),
                 None => sum = Some(parts),
+            }
+            // A scene's own strengths are bounded by the import, those of a mix by nothing.
+            if baking.only_stored && !sum.as_ref().is_some_and(Parts::is_finite) {
+                return Err(Error::TooBright { name: group.name.clone() });
             }
         }
         journal.group = None;
@@ -418,7 +470,7 @@ mod tests {
         let mut settings = Resolved { settings: Settings::preset(Preset::Draft), ..Resolved::default() };
         settings.settings.size = Texels(32);
         settings.settings.voxels = Voxels::Budget(500);
-        Request { scene, outputs, settings, worker: None, store: StoreOptions::default() }
+        Request { scene, outputs, settings, worker: None, store: StoreOptions::default(), kept: Default::default() }
     }
 
     #[test]

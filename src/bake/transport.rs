@@ -376,6 +376,7 @@ mod tests {
             lighting: &lighting,
             keys: &keys,
             store: None,
+            kept: None,
             only_stored: false,
         };
         let mut transport = Transport::default();

@@ -105,7 +105,9 @@ Exit codes: 0 done, 1 some scenes failed, 2 wrong usage, 130 interrupted.";
 const CACHING: &str = "\
 A bake keeps the result of every stage under the digest of all that it follows from, so that the next one makes only
 what has changed. Everything in a store can be made again: removing it costs time and nothing else. A bake keeps its
-store below --store-cap by itself, sparing what was used within an hour as long as it is below twice that.
+store below a cap by itself, sparing what was used within an hour as long as it is below twice that. The cap belongs to
+the store: --store-cap of a bake and --cap of gc set it, in the store's file cap, and it holds for everybody who gives
+none.
 
 Examples:
   luxel cache stat                              the stores below this folder
@@ -120,7 +122,8 @@ files of killed bakes when they are older than an hour; then the least recently 
 while others bake: what they miss they make again. Other files in a store's folder are never touched.
 
 Events of --json, one object per line, with their fields; sizes in bytes, times in seconds since 1970:
-  stat       store, total, kinds, leftovers, old   each with files, bytes, oldest, newest (times of last use)
+  stat       store, cap, kept, total, kinds, leftovers, old   cap: bytes, kept: whether it was ever given; of the
+                                                   others each has files, bytes, oldest, newest (times of last use)
   outdated   store, file, reason                   of verify: in another luxel's format
   bad        store, file, reason                   of verify: damaged
   verified   store, sound, outdated, bad           numbers of files
@@ -182,9 +185,10 @@ pub struct Storing {
     /// [default: .luxel/ beside the outputs]
     #[arg(long, value_name = "DIR")]
     pub store: Option<PathBuf>,
-    /// How much the store may hold: least recently used results go when a bake is over (64MiB, 2.5GiB, 10GB)
-    #[arg(long, value_name = "SIZE", default_value = "4GiB", value_parser = amount::size)]
-    pub store_cap: u64,
+    /// How much the store may hold from now on: least recently used results go when a bake is over (64MiB, 2.5GiB,
+    /// 10GB) [default: what it was told last, at first 4GiB]
+    #[arg(long, value_name = "SIZE", value_parser = amount::size)]
+    pub store_cap: Option<u64>,
 }
 
 impl Storing {
@@ -280,9 +284,10 @@ pub struct Places {
 pub struct Gc {
     #[command(flatten)]
     pub places: Places,
-    /// How much each store may hold: least recently used results go (64MiB, 2.5GiB, 10GB; 0 empties it)
-    #[arg(long, value_name = "SIZE", default_value = "4GiB", value_parser = amount::size)]
-    pub cap: u64,
+    /// How much each store may hold from now on: least recently used results go (64MiB, 2.5GiB, 10GB); 0 empties it,
+    /// this once [default: what it was told last, at first 4GiB]
+    #[arg(long, value_name = "SIZE", value_parser = amount::size)]
+    pub cap: Option<u64>,
     /// Remove results that nobody has used for this time (90s, 45m, 12h, 30d, 2w)
     #[arg(long, value_name = "TIME", value_parser = amount::time)]
     pub older: Option<Duration>,
@@ -414,7 +419,7 @@ mod tests {
     fn bakes_share_a_store_that_is_named() {
         let options = |line: &str| bake(line).map(|args| args.storing.options());
         assert_eq!(options("luxel bake a.glb").unwrap(), StoreOptions::default());
-        let shared = StoreOptions { folder: Some("/srv/luxel".into()), cap: 3 << 29 };
+        let shared = StoreOptions { folder: Some("/srv/luxel".into()), cap: Some(3 << 29) };
         assert_eq!(options("luxel bake a.glb --store /srv/luxel --store-cap 1.5GiB").unwrap(), shared);
         let message = options("luxel bake a.glb --store-cap much").unwrap_err().to_string();
         assert!(message.contains("--store-cap") && message.contains("500MB"), "{message}");
@@ -427,9 +432,9 @@ mod tests {
             other => panic!("{other:?}"),
         };
         let CacheTask::Gc(gc) = cache("luxel cache gc levels --cap 2GiB --older 30d") else { panic!() };
-        assert_eq!((gc.cap, gc.older), (2 << 30, Some(Duration::from_secs(30 * 86_400))));
+        assert_eq!((gc.cap, gc.older), (Some(2 << 30), Some(Duration::from_secs(30 * 86_400))));
         let CacheTask::Gc(gc) = cache("luxel cache gc") else { panic!() };
-        assert_eq!((gc.cap, gc.older, gc.places.paths.len()), (luxel::store::DEFAULT_CAP, None, 0));
+        assert_eq!((gc.cap, gc.older, gc.places.paths.len()), (None, None, 0));
     }
 
     #[test]

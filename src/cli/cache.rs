@@ -5,6 +5,7 @@ use std::sync::Arc;
 use std::time::{Duration, SystemTime};
 
 use luxel::store::{self, Bad, Collected, Kind, Stat, Store, StoreError, Usage, Verified};
+use luxel::text::{plain, shown};
 use luxel_scene::{Progress, Silent};
 use serde_json::{Value, json};
 
@@ -68,14 +69,16 @@ fn stores(places: &Places) -> anyhow::Result<Vec<PathBuf>> {
 fn run(task: &CacheTask, store: &Store, json: bool) -> Result<End, StoreError> {
     if !json {
         match task {
-            CacheTask::Stat(_) => out(&format!("{}\n", store.folder().display())),
-            _ => say(&written(store.folder())),
+            CacheTask::Stat(_) => out(&format!("{}\n", shown(store.folder()))),
+            _ => say(&shown(store.folder())),
         }
     }
     match task {
         CacheTask::Stat(_) => {
-            tell_stat(store.folder(), &store.stat()?, json);
-            Ok(End::default())
+            let (stat, cap) = (store.stat()?, store.cap());
+            let kept = store.kept_cap().ok().flatten().is_some();
+            tell_stat(store.folder(), &stat, (cap.as_ref().ok().copied(), kept), json);
+            cap.map(|_| End::default())
         }
         CacheTask::Verify(_) => {
             let verified = watched(store, json, |progress| store.verify(progress))?;
@@ -83,7 +86,12 @@ fn run(task: &CacheTask, store: &Store, json: bool) -> Result<End, StoreError> {
             Ok(End { bad: verified.bad.len(), failed: false })
         }
         CacheTask::Gc(Gc { cap, older, .. }) => {
-            let collected = watched(store, json, |progress| store.gc(*cap, *older, progress))?;
+            // To empty a store says nothing of how much it may hold when it is used again.
+            if let Some(cap) = cap.filter(|cap| *cap > 0) {
+                Store::new(store.folder()).with_cap(cap).keep_cap()?;
+            }
+            let cap = cap.map_or_else(|| store.cap(), Ok)?;
+            let collected = watched(store, json, |progress| store.gc(cap, *older, progress))?;
             tell_collected(store.folder(), &collected, json);
             Ok(End { bad: 0, failed: !collected.failed.is_empty() })
         }
@@ -111,13 +119,16 @@ fn tell_failure(folder: &Path, error: StoreError, json: bool) {
     }
 }
 
-fn tell_stat(folder: &Path, stat: &Stat, json: bool) {
+/// `cap` [bytes] is None where the store's own cannot be read; it is the default unless it is `kept`.
+fn tell_stat(folder: &Path, stat: &Stat, (cap, kept): (Option<u64>, bool), json: bool) {
     if json {
         let kinds: serde_json::Map<String, Value> =
             stat.kinds.iter().map(|(kind, usage)| (kind.name().into(), with_times(usage))).collect();
         return event(&json!({
             "event": "stat",
             "store": written(folder),
+            "cap": cap,
+            "kept": kept,
             "total": with_times(&stat.total),
             "kinds": kinds,
             "leftovers": with_times(&stat.leftovers),
@@ -138,6 +149,10 @@ fn tell_stat(folder: &Path, stat: &Stat, json: bool) {
         text += &row(kind.name(), usage);
     }
     text += &row("total", &stat.total);
+    if let Some(cap) = cap {
+        let whose = if kept { "" } else { "   the default: it was told none" };
+        text += &format!("  {:<10} {:>7} {:>10}{whose}\n", "cap", "", bytes(cap));
+    }
     for (usage, what) in [
         (&stat.leftovers, "temporary files: being written, or left by killed bakes; gc removes those"),
         (&stat.old, "octrees of an earlier luxel; gc removes them"),
@@ -156,7 +171,7 @@ fn tell_verified(folder: &Path, verified: &Verified, json: bool) {
             if json {
                 event(&json!({ "event": word, "store": written(folder), "file": written(path), "reason": why }));
             } else {
-                say(&format!("  {word}: {}: {why}", path.display()));
+                say(&format!("  {word}: {}: {}", shown(path), plain(why)));
             }
         }
     }
@@ -168,7 +183,7 @@ fn tell_verified(folder: &Path, verified: &Verified, json: bool) {
     }
     say(&format!("  {} sound ({}), {} outdated, {} bad", sound.files, bytes(sound.bytes), outdated.len(), bad.len()));
     if !bad.is_empty() {
-        say("  luxel cache gc removes the bad ones; a bake makes anew what it needs of them");
+        say("  luxel cache gc removes bad files and empty folders; a bake makes anew what it needs of them");
     }
 }
 
@@ -188,7 +203,7 @@ fn tell_collected(folder: &Path, collected: &Collected, json: bool) {
         say(&format!("  removed {} {what} ({})", usage.files, bytes(usage.bytes)));
     }
     for Bad { path, why } in failed {
-        say(&format!("  error: cannot remove {}: {why}", path.display()));
+        say(&format!("  error: cannot remove {}: {}", shown(path), plain(why)));
     }
     say(&format!("  {} left ({})", left.files, bytes(left.bytes)));
 }

@@ -10,6 +10,7 @@ use luxel::bake::{Turns, bake_in_turn};
 use luxel::current::{self, State};
 use luxel::discover::Found;
 use luxel::settings::{Resolved, for_scene};
+use luxel::text::shown;
 use luxel::watch::Finished;
 use luxel::{Error, Request};
 use luxel_export::OutputSet;
@@ -77,7 +78,7 @@ impl Fleet<'_> {
     fn look(&self, i: usize, place: Place) -> Result<Seen, Fate> {
         let (found, reporter) = self.reporter(i);
         if matches!(reporter.style(), Style::Lines | Style::Bar) {
-            reporter.say(&print::written(&found.scene));
+            reporter.say(&shown(&found.scene));
         }
         let seen = place.map_err(Error::from).and_then(|outputs| self.state(&found.scene, outputs, &reporter));
         let seen = seen.map_err(|error| self.failed(&found.scene, error, &reporter));
@@ -106,7 +107,14 @@ impl Fleet<'_> {
         let (found, reporter) = self.reporter(i);
         let turn = turns.turn(number, settings.settings.threads.0);
         let store = self.args.bake.storing.options();
-        let request = Request { scene: found.scene.clone(), outputs, settings, worker: self.worker.clone(), store };
+        let request = Request {
+            scene: found.scene.clone(),
+            outputs,
+            settings,
+            worker: self.worker.clone(),
+            store,
+            kept: Default::default(),
+        };
         let baked = bake_in_turn(&request, &turn, &reporter);
         drop(turn);
         reporter.finish();

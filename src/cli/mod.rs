@@ -10,7 +10,7 @@ mod progress;
 mod watch;
 
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::path::{Component, Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -21,6 +21,7 @@ use luxel::Error;
 use luxel::current::{self, State};
 use luxel::discover::{self, Found, Search};
 use luxel::settings::{Layer, for_scene};
+use luxel::text::shown;
 use luxel_export::{ExportError, OutputSet};
 use serde_json::json;
 
@@ -190,10 +191,10 @@ type Place = Result<OutputSet, ExportError>;
 
 /// Does `work` for every scene with its place, one after another, goes on after a failure, and names the failed ones at
 /// the end.
-fn each(
+fn each<P>(
     task: &Job,
-    places: Vec<Place>,
-    mut work: impl FnMut(&Found, OutputSet, &Reporter) -> Result<End, Error>,
+    places: Vec<Result<P, ExportError>>,
+    mut work: impl FnMut(&Found, P, &Reporter) -> Result<End, Error>,
 ) -> anyhow::Result<u8> {
     for (path, error) in &task.missing {
         print::failed(task.style, path, error);
@@ -202,7 +203,7 @@ fn each(
     for ((found, place), fate) in task.found.iter().zip(places).zip(&mut fates) {
         let name = print::written(&found.scene);
         if matches!(task.style, Style::Lines | Style::Bar) {
-            say(&name);
+            say(&shown(&found.scene));
         }
         let screen = Screen::new(task.style);
         let reporter = Reporter::on(&screen, 0, &name, task.cancelled.clone());
@@ -256,18 +257,19 @@ fn conclude(task: &Job, fates: &[Fate]) -> u8 {
 
 /// Ctrl-C came: the first scene that is not done for that, and all that were `begun`.
 fn interrupted(task: &Job, first: &Path, begun: &[&PathBuf], failed: &[&PathBuf]) {
-    let first = print::written(first);
     match task.style {
         Style::Json => {
+            let first = print::written(first);
             let (scenes, failed) = (written(begun), written(failed));
             event(&json!({ "event": "interrupted", "scene": first, "scenes": scenes, "failed": failed }));
         }
         // Who interrupts knows it, and the exit code tells others.
         Style::Quiet => {}
         Style::Lines | Style::Bar if begun.len() > 1 => {
-            say(&format!("interrupted; not baked: {}", written(begun).join(", ")));
+            let names: Vec<String> = begun.iter().map(|scene| shown(scene)).collect();
+            say(&format!("interrupted; not baked: {}", names.join(", ")));
         }
-        Style::Lines | Style::Bar => say(&format!("interrupted; {first} is not baked")),
+        Style::Lines | Style::Bar => say(&format!("interrupted; {} is not baked", shown(first))),
     }
     name_all(task, failed, "failed");
 }
@@ -281,7 +283,7 @@ fn name_all(task: &Job, scenes: &[&PathBuf], fared: &str) {
     if task.style != Style::Json && !scenes.is_empty() && task.scenes() > 1 {
         say(&format!("{} of {} scenes {fared}:", scenes.len(), task.scenes()));
         for scene in scenes {
-            say(&format!("  {}", scene.display()));
+            say(&format!("  {}", shown(scene)));
         }
     }
 }
@@ -289,10 +291,19 @@ fn name_all(task: &Job, scenes: &[&PathBuf], fared: &str) {
 /// Where every scene's files go. Two scenes with the same place are an error of usage, and so is a named scene without
 /// one; a scene that was found in a folder fails alone.
 fn places(found: &[Found], out: Option<&Path>) -> anyhow::Result<Vec<Place>> {
+    places_by(found, "--out", |f| OutputSet::new(&f.scene, out, f.root.as_deref()))
+}
+
+/// The same for places that another option chooses.
+fn places_by(
+    found: &[Found],
+    option: &str,
+    place: impl Fn(&Found) -> Result<OutputSet, ExportError>,
+) -> anyhow::Result<Vec<Place>> {
     let mut places = Vec::new();
     let mut taken: BTreeMap<PathBuf, &Path> = BTreeMap::new();
     for f in found {
-        let set = match OutputSet::new(&f.scene, out, f.root.as_deref()) {
+        let set = match place(f) {
             Ok(set) => set,
             Err(error) if f.root.is_some() => {
                 places.push(Err(error));
@@ -300,17 +311,32 @@ fn places(found: &[Found], out: Option<&Path>) -> anyhow::Result<Vec<Place>> {
             }
             Err(error) => return Err(error.into()),
         };
-        if let Some(other) = taken.insert(set.glb(), &f.scene) {
+        if let Some(other) = taken.insert(real(&set.glb()), &f.scene) {
             anyhow::bail!(
-                "{} and {} would both write {}: bake them with different --out",
-                other.display(),
-                f.scene.display(),
-                set.glb().display()
+                "{} and {} would both write {}: give them different {option}",
+                shown(other),
+                shown(&f.scene),
+                shown(&set.glb())
             );
         }
         places.push(Ok(set));
     }
     Ok(places)
+}
+
+/// The one path of a file that may not exist yet, however it is spelt: links and dots in front of what exists followed,
+/// dots behind it taken by their word.
+fn real(path: &Path) -> PathBuf {
+    let path = std::path::absolute(path).unwrap_or_else(|_| path.into());
+    let known = path.ancestors().find_map(|above| Some((above, above.canonicalize().ok()?)));
+    let Some((above, mut real)) = known else { return path };
+    for part in path.strip_prefix(above).into_iter().flat_map(Path::components) {
+        match part {
+            Component::ParentDir => drop(real.pop()),
+            part => real.push(part),
+        }
+    }
+    real
 }
 
 #[cfg(test)]
@@ -323,6 +349,9 @@ mod tests {
         let found = |path: &str| Found { scene: path.into(), root: None };
         let pair = [found("a/level.glb"), found("b/level.glb")];
         assert!(places(&pair, Some(Path::new("out"))).unwrap_err().to_string().contains("different --out"));
+        // Whatever the spelling.
+        let spelt = |f: &Found| OutputSet::new(&f.scene, Some(&f.scene.parent().unwrap().join("../out")), None);
+        assert!(places_by(&pair, "--to", spelt).unwrap_err().to_string().contains("different --to"));
         assert_eq!(places(&pair, None).unwrap().len(), 2);
     }
 

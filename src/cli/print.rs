@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use luxel::current::{Reason, State};
 use luxel::plan::Plan;
+use luxel::text::{indented, plain, shown};
 use luxel::watch::event::{Done, Event};
 use luxel_export::report::Warning;
 use serde_json::json;
@@ -13,7 +14,7 @@ use crate::cli::progress::{Reporter, Style, duration, event, out, say};
 /// Who shows a line to a person.
 type Say<'s> = &'s dyn Fn(&str);
 
-/// A path in an event. One that is not Unicode has no form in JSON: its other bytes are replaced.
+/// A path in an event; people are [`shown`] it. One that is not Unicode has no form in JSON: its other bytes are replaced.
 pub fn written(path: &Path) -> String {
     path.display().to_string()
 }
@@ -35,7 +36,7 @@ fn baked_by(style: Style, say: Say, scene: &Path, done: Done) {
         Style::Lines | Style::Bar => {
             notes(say, &done.warnings);
             for file in &done.outputs {
-                say(&format!("  wrote {}", file.display()));
+                say(&format!("  wrote {}", shown(file)));
             }
             say(&format!("  done in {}", duration(done.seconds)));
         }
@@ -71,7 +72,7 @@ fn listed(reasons: &[Reason]) -> Vec<serde_json::Value> {
 
 fn notes(say: Say, warnings: &[Warning]) {
     for warning in warnings {
-        say(&format!("  note: {}", warning.message));
+        say(&format!("  note: {}", plain(&warning.message)));
     }
 }
 
@@ -97,10 +98,11 @@ pub fn plan(style: Style, scene: &Path, plan: &Plan, state: &State) {
             (true, false) => "run",
             (false, _) => "left out",
         };
-        text += &format!("  {:<10} {state:<9} {}\n", step.stage.name(), step.reason);
+        text += &format!("  {:<10} {state:<9} {}\n", step.stage.name(), plain(&step.reason));
     }
     if !plan.light_groups.is_empty() {
-        text += &format!("  groups     {}\n", plan.light_groups.join(", "));
+        let names: Vec<_> = plan.light_groups.iter().map(|name| plain(name)).collect();
+        text += &format!("  groups     {}\n", names.join(", "));
     }
     let m = &plan.memory;
     let mib = |bytes: u64| bytes.div_ceil(1 << 20);
@@ -152,10 +154,15 @@ pub fn failure(scene: Option<&Path>, error: &anyhow::Error) {
 }
 
 fn failure_by(say: Say, scene: Option<&Path>, error: &anyhow::Error) {
-    let mut lines = error.chain().map(ToString::to_string);
+    let name = scene.map(|scene| (written(scene), shown(scene)));
+    let mut lines = error.chain().map(|message| match &name {
+        // Messages name paths as they are; the scene's is the one that is known here.
+        Some((raw, shown)) if raw != shown => indented(&message.to_string().replace(raw, shown)),
+        _ => indented(&message.to_string()),
+    });
     let first = lines.next().unwrap_or_default();
     // A message that already names the file does not need it twice.
-    match scene.map(|s| s.display().to_string()).filter(|s| !first.contains(s.as_str())) {
+    match name.as_ref().map(|(_, shown)| shown).filter(|shown| !first.contains(shown.as_str())) {
         Some(scene) => say(&format!("error: {scene}: {first}")),
         None => say(&format!("error: {first}")),
     }

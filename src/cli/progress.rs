@@ -7,6 +7,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use indicatif::{MultiProgress, ProgressBar, ProgressDrawTarget, ProgressStyle};
+use luxel::text::{lines as clean, plain};
 use luxel_scene::Progress;
 use serde_json::json;
 
@@ -61,12 +62,12 @@ impl Screen {
     }
 
     fn say(&self, scene: usize, line: &str) {
-        let mut lines = self.lock();
+        let (line, mut lines) = (clean(line), self.lock());
         if scene <= lines.first {
             return self.show(&format!("{line}\n"));
         }
         let held = lines.held.entry(scene).or_default();
-        held.push_str(line);
+        held.push_str(&line);
         held.push('\n');
     }
 
@@ -161,7 +162,7 @@ impl<'s> Reporter<'s> {
 
     fn bar(&self, stage: &'static str, total: u64) -> ProgressBar {
         match &self.shown {
-            Shown::Shared(screen, _) => bar(&screen.bars, format!("{} {stage}", self.scene), total),
+            Shown::Shared(screen, _) => bar(&screen.bars, format!("{} {stage}", plain(&self.scene)), total),
             Shown::Own(screen) => bar(&screen.bars, stage.into(), total),
         }
     }
@@ -252,12 +253,12 @@ pub fn event(value: &serde_json::Value) {
 
 /// Text on standard output.
 pub fn out(text: &str) {
-    drop(write!(std::io::stdout().lock(), "{text}"));
+    drop(write!(std::io::stdout().lock(), "{}", clean(text)));
 }
 
 /// A line for a person.
 pub fn say(line: &str) {
-    drop(writeln!(std::io::stderr().lock(), "{line}"));
+    drop(writeln!(std::io::stderr().lock(), "{}", clean(line)));
 }
 
 /// `3.2 s`, `4 min 5 s`, `1 h 2 min`.

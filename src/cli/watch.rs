@@ -1,8 +1,9 @@
 //! `luxel watch`: the command line's view of a watch, and of its preview.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use luxel::live::{self, Bundle, Live};
+use luxel::text::shown as name;
 use luxel::watch::event::{Event, Fault};
 use luxel::watch::{self, Choices, Finished, Options, Task};
 
@@ -94,7 +95,6 @@ fn error(fault: Fault) -> anyhow::Error {
 
 /// What a person reads of an event; nothing of one that concerns programs only.
 fn line(told: &Event) -> Option<String> {
-    let name = |path: &Path| path.display().to_string();
     Some(match told {
         Event::Preview { url, notice: None } => format!("preview: {url}"),
         Event::Preview { url, notice: Some(notice) } => format!("preview: {url}\nnote: {notice}"),
@@ -129,7 +129,7 @@ fn count(scenes: usize) -> String {
 /// The first few paths of a list.
 fn names(paths: &[PathBuf]) -> String {
     const MOST: usize = 3;
-    let some: Vec<String> = paths.iter().take(MOST).map(|p| p.display().to_string()).collect();
+    let some: Vec<String> = paths.iter().take(MOST).map(|path| name(path)).collect();
     let more = paths.len().saturating_sub(MOST);
     if more == 0 { some.join(", ") } else { format!("{} and {more} more", some.join(", ")) }
 }

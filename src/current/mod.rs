@@ -110,6 +110,14 @@ fn understand(scene: &Path) -> Result<(), Error> {
     document.map(drop).map_err(|fault| fault.in_file(scene).into())
 }
 
+/// The report of what was written to a place, whatever has become of the rest since.
+///
+/// # Errors
+/// There is none ([`Reason::Unbaked`]), or none that can be read.
+pub fn report(outputs: &OutputSet) -> Result<Report, Reason> {
+    read(&outputs.report())
+}
+
 /// The report, as far as it can be believed.
 fn read(path: &Path) -> Result<Report, Reason> {
     let refused = |what: String| Reason::Report { what };

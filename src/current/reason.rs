@@ -1,9 +1,11 @@
 //! Why outputs are stale, in words and as stable words for programs.
 
 use std::fmt;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use serde_json::{Value as Json, json};
+
+use crate::text::{cut, shown};
 
 /// Why a scene's outputs are not what a bake would write now.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -84,15 +86,15 @@ impl fmt::Display for Reason {
         match self {
             Self::Unbaked => f.write_str("it has not been baked to this place yet"),
             Self::Draft => f.write_str("its outputs are a draft"),
-            Self::Report { what } => write!(f, "the report cannot be read: {}", plain(what)),
+            Self::Report { what } => write!(f, "the report cannot be read: {}", cut(what)),
             Self::Version { of, was, is } if of == "luxel" => {
-                write!(f, "it was baked by luxel {}, and this is {}", plain(was), plain(is))
+                write!(f, "it was baked by luxel {}, and this is {}", cut(was), cut(is))
             }
             Self::Version { of, was, is } => {
-                write!(f, "{} has version {} now and had {}", plain(of), plain(is), plain(was))
+                write!(f, "{} has version {} now and had {}", cut(of), cut(is), cut(was))
             }
             Self::Setting { name, was, is } => {
-                write!(f, "the setting {} was {} and is {}", plain(name), plain(was), plain(is))
+                write!(f, "the setting {} was {} and is {}", cut(name), cut(was), cut(is))
             }
             Self::InputChanged { path } => write!(f, "{} has changed", shown(path)),
             Self::InputGone { path } => write!(f, "{} was read and is not there any more", shown(path)),
@@ -102,22 +104,6 @@ impl fmt::Display for Reason {
             Self::Mixed => write!(f, "its light groups were weighed anew by luxel export"),
             Self::LeftOver { path } => write!(f, "{} was left over by another bake", shown(path)),
         }
-    }
-}
-
-fn shown(path: &Path) -> String {
-    plain(&path.to_string_lossy())
-}
-
-/// A text as it may stand in a message: words of a report come from a file, so control characters are escaped and what
-/// is too long is cut.
-fn plain(text: &str) -> String {
-    const LONGEST: usize = 300;
-    let cut = text.char_indices().nth(LONGEST).map(|(end, _)| &text[..end]);
-    match cut {
-        Some(front) => format!("{front:?}…"),
-        None if text.chars().any(char::is_control) => format!("{text:?}"),
-        None => text.into(),
     }
 }
 

@@ -1,6 +1,6 @@
 //! What leaves a store: the least recently used artefacts, and what killed bakes left.
 //!
-//! A bake that ends evicts down to its cap, oldest use first, and spares
+//! A bake that ends, well or not, evicts down to the store's cap, oldest use first, and spares
 //! - what it has used itself, whatever that holds;
 //! - what anybody has used within [`GRACE`], so that bakes that run at the same time do not take each other's artefacts
 //!   away, as long as the store is below twice the cap: then the oldest of these go too, until it is below that.
@@ -11,8 +11,9 @@
 //! Temporary files are removed by their age alone: a younger one than [`LEFTOVER_AGE`] may be somebody's who is writing.
 
 use std::cmp::Reverse;
+use std::collections::BTreeSet;
 use std::io;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime};
 
 use luxel_scene::Progress;
@@ -44,14 +45,26 @@ pub struct Collected {
     pub failed: Vec<Bad>,
 }
 
-impl Collected {
+/// A collection that is under way.
+#[derive(Default)]
+struct Collector {
+    done: Collected,
+    /// What could not be removed once, and is not tried again.
+    stuck: BTreeSet<PathBuf>,
+}
+
+impl Collector {
     /// Removes a file and counts it; returns whether it is gone.
-    fn remove(&mut self, held: &Held, count: impl FnOnce(&mut Self) -> &mut Usage) -> bool {
+    fn remove(&mut self, held: &Held, count: impl FnOnce(&mut Collected) -> &mut Usage) -> bool {
+        if self.stuck.contains(&held.path) {
+            return false;
+        }
         match held.remove() {
-            Ok(true) => count(self).add(held),
+            Ok(true) => count(&mut self.done).add(held),
             Ok(false) => return false,
             Err(error) => {
-                self.failed.push(Bad { path: held.path.clone(), why: error.to_string() });
+                self.stuck.insert(held.path.clone());
+                self.done.failed.push(Bad { path: held.path.clone(), why: error.to_string() });
                 return false;
             }
         }
@@ -76,23 +89,24 @@ impl Store {
     /// Makes the store smaller than its cap where it is not, by the rule above, and removes what killed bakes left. What
     /// stands in the way is noted; nobody else's file that vanishes meanwhile is missed.
     pub fn evict(&self) {
-        let evicted = Listing::new(&self.folder).map_err(|error| match error {
+        let known = Listing::new(&self.folder).and_then(|listing| Ok((listing, self.cap()?)));
+        let known = known.map_err(|error| match error {
             StoreError::Folder { path, source } => format!("{}: {source}", path.display()),
             error => error.to_string(),
         });
-        if let Err(why) = evicted.and_then(|listing| self.shrink(listing)) {
+        if let Err(why) = known.and_then(|(listing, cap)| self.shrink(listing, cap)) {
             self.note(|notes| notes.oversized(&self.folder, &why));
         }
     }
 
-    fn shrink(&self, listing: Listing) -> Result<(), String> {
+    fn shrink(&self, listing: Listing, cap: u64) -> Result<(), String> {
         let mut total: u64 = listing.artefacts.iter().map(|(_, _, held)| held.bytes).sum();
-        if total <= self.cap && listing.leftovers.is_empty() {
+        if total <= cap && listing.leftovers.is_empty() {
             return Ok(());
         }
         let now = match clock(&self.folder) {
             // A store that may only be read is somebody else's to keep small, as long as it is.
-            Err(_) if total <= self.cap => return Ok(()),
+            Err(_) if total <= cap => return Ok(()),
             now => now.map_err(|error| format!("nothing can be removed from it: {error}"))?,
         };
         let mut failure = None;
@@ -104,7 +118,7 @@ impl Store {
         oldest_first(&mut artefacts, now);
         for (_, _, held) in artefacts {
             let is_recent = held.age(now) < GRACE;
-            if total <= self.cap || (is_recent && total <= self.cap.saturating_mul(2)) {
+            if total <= cap || (is_recent && total <= cap.saturating_mul(2)) {
                 break;
             }
             match held.remove() {
@@ -123,10 +137,10 @@ impl Store {
     /// # Errors
     /// The folder cannot be listed or written, or it was cancelled; what was removed by then is gone.
     pub fn gc(&self, cap: u64, older: Option<Duration>, progress: &dyn Progress) -> Result<Collected, StoreError> {
-        let mut done = Collected::default();
+        let mut done = Collector::default();
         let Listing { mut artefacts, leftovers, old } = Listing::new(&self.folder)?;
         if artefacts.is_empty() && leftovers.is_empty() && old.is_empty() {
-            return Ok(done);
+            return Ok(done.done);
         }
         let failed = |source| StoreError::Folder { path: self.folder.clone(), source };
         let now = clock(&self.folder).map_err(failed)?;
@@ -146,17 +160,17 @@ impl Store {
             if total > cap && done.remove(held, |done| &mut done.evicted) {
                 total -= held.bytes;
             } else {
-                done.left.add(held);
+                done.done.left.add(held);
             }
         }
-        Ok(done)
+        Ok(done.done)
     }
 }
 
 /// The artefacts that are worth keeping; the others are removed.
 fn sound(
     artefacts: Vec<(Kind, Key, Held)>,
-    done: &mut Collected,
+    done: &mut Collector,
     progress: &dyn Progress,
 ) -> Result<Vec<(Kind, Key, Held)>, StoreError> {
     progress.begin("verify", artefacts.iter().map(|(_, _, held)| held.bytes).sum());
@@ -341,11 +355,28 @@ mod tests {
     fn what_cannot_be_removed_is_told() {
         let bench = Bench::new(&[100]);
         let store = bench.store(0);
-        fs::create_dir(store.path(Kind::Gather, &[5; 32])).unwrap();
+        fs::create_dir_all(store.path(Kind::Gather, &[5; 32]).join("mine")).unwrap();
+        let [bad] = &store.verify(&Silent).unwrap().bad[..] else { panic!("one folder") };
+        assert!(bad.why.contains("remove this folder yourself"), "{}", bad.why);
         let done = store.gc(u64::MAX, None, &Silent).unwrap();
         assert_eq!((done.failed.len(), done.left.files), (1, 2));
         assert_eq!(done.failed[0].path, store.path(Kind::Gather, &[5; 32]));
+        assert!(done.failed[0].why.contains("remove this folder yourself"), "{}", done.failed[0].why);
         assert_eq!(bench.evicted(0), [5], "others go all the same");
+        let done = store.gc(0, Some(Duration::ZERO), &Silent).unwrap();
+        assert_eq!((done.failed.len(), done.left.files), (1, 1), "it is tried once and told once");
+    }
+
+    #[test]
+    fn an_empty_folder_in_the_place_of_an_artefact_is_removed() {
+        let bench = Bench::new(&[100]);
+        let store = bench.store(0);
+        fs::create_dir(store.path(Kind::Gather, &[5; 32])).unwrap();
+        let [bad] = &store.verify(&Silent).unwrap().bad[..] else { panic!("one folder") };
+        assert!(bad.why.contains("a folder") && !bad.why.contains("yourself"), "{}", bad.why);
+        let done = store.gc(u64::MAX, None, &Silent).unwrap();
+        assert_eq!((done.bad.files, done.failed.len(), done.left.files), (1, 0, 1));
+        assert!(!store.path(Kind::Gather, &[5; 32]).exists());
     }
 
     #[test]

@@ -26,7 +26,7 @@ const HEADER: usize = 8 + 4 + 32 + 8 + 32;
 const BUFFER: usize = 1 << 16;
 
 /// Begin and end of the names of files that are being written, or were when their writer was killed.
-pub(super) const TEMPORARY: (&str, &str) = (".luxel-", ".tmp");
+pub const TEMPORARY: (&str, &str) = (".luxel-", ".tmp");
 
 /// Identity of what a stored file follows from.
 pub type Key = [u8; 32];

@@ -9,7 +9,8 @@ use super::FOLDER;
 use crate::discover::DiscoverError;
 
 /// The stores of these paths, each once: of a scene the one beside its outputs in their default place, of a folder all
-/// below it, of a store itself. As for bakes, hidden folders and links to folders are not entered.
+/// below it, of a store itself. As for bakes, hidden folders and links to folders are not entered;
+/// a link that is itself called as a store leads to one.
 ///
 /// # Errors
 /// A path that does not exist, or a folder that cannot be listed.
@@ -45,14 +46,15 @@ fn below(root: &Path) -> Result<Vec<PathBuf>, DiscoverError> {
         let failed = |source| DiscoverError::List { path: folder.clone(), source };
         for entry in std::fs::read_dir(&folder).map_err(failed)? {
             let entry = entry.map_err(failed)?;
-            // What has gone meanwhile is no folder any more.
-            if !entry.file_type().is_ok_and(|kind| kind.is_dir()) {
+            let name = entry.file_name();
+            // A store may lie elsewhere and be linked here; nothing is searched below it.
+            if name == FOLDER && entry.path().is_dir() {
+                stores.push(entry.path());
                 continue;
             }
-            let name = entry.file_name();
-            if name == FOLDER {
-                stores.push(entry.path());
-            } else if !name.as_encoded_bytes().starts_with(b".") {
+            // What has gone meanwhile is no folder any more.
+            let is_folder = entry.file_type().is_ok_and(|kind| kind.is_dir());
+            if is_folder && !name.as_encoded_bytes().starts_with(b".") {
                 folders.push(entry.path());
             }
         }
@@ -81,5 +83,23 @@ mod tests {
         assert_eq!(find(&[at("a.glb"), at("baked/.luxel"), at("baked")]).unwrap(), [at("baked/.luxel")]);
         assert!(find(&[at("c/c.glb"), at("c")]).unwrap().is_empty(), "no store yet");
         assert!(matches!(find(&[root, at("d.glb")]), Err(DiscoverError::Missing(path)) if path == at("d.glb")));
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn a_linked_store_is_found_once_and_links_lead_in_no_circle() {
+        use std::os::unix::fs::symlink;
+        let folder = tempfile::tempdir().unwrap();
+        let at = |name: &str| folder.path().join(name);
+        for name in ["elsewhere/store/sky", "a/baked", "b/baked", "c/baked"] {
+            std::fs::create_dir_all(at(name)).unwrap();
+        }
+        for name in ["a", "b"] {
+            symlink(at("elsewhere/store"), at(name).join("baked/.luxel")).unwrap();
+        }
+        symlink(at("nowhere"), at("c/baked/.luxel")).unwrap();
+        symlink(folder.path(), at("a/back")).unwrap();
+        assert_eq!(find(&[folder.path().into()]).unwrap(), [at("a/baked/.luxel")]);
+        assert_eq!(find(&[at("b")]).unwrap(), [at("b/baked/.luxel")]);
     }
 }

@@ -19,6 +19,10 @@ const OLD_SUFFIX: &str = "octree";
 pub enum StoreError {
     #[error("cannot look through the store's folder {path}")]
     Folder { path: PathBuf, source: io::Error },
+    #[error("{path} does not say how much the store may hold ({why}), so nothing of it is evicted: give its cap anew")]
+    Cap { path: PathBuf, why: String },
+    #[error("the cap of the store cannot be kept in {path}")]
+    KeepCap { path: PathBuf, source: io::Error },
     #[error("cancelled")]
     Cancelled(#[from] luxel_scene::Cancelled),
 }
@@ -47,11 +51,16 @@ impl Held {
         now.duration_since(self.used).unwrap_or_else(|early| early.duration())
     }
 
-    /// Removes it, unless somebody has used or replaced it since it was listed; returns whether it is gone.
+    /// Removes it, unless somebody has used or replaced it since it was listed; returns whether it is gone. A folder goes
+    /// only if it is empty: what lies in one is not luxel's.
     pub fn remove(&self) -> io::Result<bool> {
         let removed = fs::symlink_metadata(&self.path).and_then(|meta| {
             let is_same = Self::new(self.path.clone(), &meta)? == *self;
-            if is_same { fs::remove_file(&self.path).map(|()| true) } else { Ok(false) }
+            match (is_same, self.is_folder) {
+                (false, _) => Ok(false),
+                (true, true) => remove_folder(&self.path).map(|()| true),
+                (true, false) => fs::remove_file(&self.path).map(|()| true),
+            }
         });
         match removed {
             Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(true),
@@ -59,6 +68,17 @@ impl Held {
         }
     }
 }
+
+/// Removes an empty folder.
+fn remove_folder(path: &Path) -> io::Result<()> {
+    fs::remove_dir(path).map_err(|error| match error.kind() {
+        io::ErrorKind::DirectoryNotEmpty => io::Error::new(error.kind(), FULL_FOLDER),
+        _ => error,
+    })
+}
+
+/// What stands in the way of removing a folder.
+pub const FULL_FOLDER: &str = "it is a folder with something in it; remove this folder yourself";
 
 /// The files of a store.
 #[derive(Debug, Default)]

@@ -1,7 +1,7 @@
 //! The store: artefacts of stages under the key of everything that they follow from.
 //!
 //! `<folder>/<kind>/<64 hex digits of the key>` is one artefact, a checked file (see [`file`]). The folder is `.luxel`
-//! beside the outputs, or one that many scenes, processes and machines share.
+//! beside the outputs, or one that many scenes, processes and machines share. `<folder>/cap` says how much it may hold.
 //!
 //! | module | what it does |
 //! |---|---|
@@ -9,6 +9,7 @@
 //! | `kind` | the kinds of artefacts |
 //! | `notes` | what went wrong, each once, for the report |
 //! | `list` | what lies in the folder |
+//! | `cap` | how much it may hold, which the store itself knows |
 //! | `evict` | which of it goes: the least recently used, and what killed bakes left |
 //! | `survey` | how much there is, and whether it verifies |
 //! | `find` | the stores of scenes and folders |
@@ -30,6 +31,7 @@
 //! **Trust.** A checksum tells damage, not malice. Decoders withstand any bytes, but whoever may write to a store may
 //! change what light others bake from it.
 
+mod cap;
 mod evict;
 pub mod file;
 mod find;
@@ -43,7 +45,9 @@ use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
+pub use cap::CAP_FILE;
 pub use evict::{Collected, GRACE, LEFTOVER_AGE, sweep};
+pub(crate) use file::TEMPORARY;
 pub use file::{Format, Key, Miss, OCTREE, Reader, Writer, read, write};
 pub use find::find;
 pub use kind::Kind;
@@ -52,31 +56,27 @@ pub use survey::{Bad, Stat, Usage, Verified};
 
 use notes::Notes;
 
-/// How much a store may hold unless something else is asked for [bytes].
+/// How much a store may hold for which nobody has ever asked for something else [bytes].
 pub const DEFAULT_CAP: u64 = 4 << 30;
 
 /// The name of a store's folder beside outputs.
 pub const FOLDER: &str = ".luxel";
 
 /// Which store a bake uses.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct StoreOptions {
     /// One of its own instead of the one beside the outputs.
     pub folder: Option<PathBuf>,
-    /// How much it may hold when the bake is over [bytes].
-    pub cap: u64,
-}
-
-impl Default for StoreOptions {
-    fn default() -> Self {
-        Self { folder: None, cap: DEFAULT_CAP }
-    }
+    /// How much it may hold when the bake is over [bytes], which it keeps for later bakes; none: what was kept, or
+    /// [`DEFAULT_CAP`].
+    pub cap: Option<u64>,
 }
 
 impl StoreOptions {
     /// The store of a bake whose outputs go to the folder `outputs`.
     pub fn open(&self, outputs: &Path) -> Store {
-        Store::new(self.folder.clone().unwrap_or_else(|| outputs.join(FOLDER))).with_cap(self.cap)
+        let store = Store::new(self.folder.clone().unwrap_or_else(|| outputs.join(FOLDER)));
+        Store { cap: self.cap, ..store }
     }
 }
 
@@ -84,30 +84,26 @@ impl StoreOptions {
 #[derive(Debug)]
 pub struct Store {
     folder: PathBuf,
-    cap: u64,
+    /// What was asked for.
+    cap: Option<u64>,
     notes: Mutex<Notes>,
     /// What was put, found or named through this object: not evicted by it.
     used: Mutex<BTreeSet<(Kind, Key)>>,
 }
 
 impl Store {
-    /// The store in this folder, which need not exist, with the cap [`DEFAULT_CAP`].
+    /// The store in this folder, which need not exist, with the cap that it keeps.
     pub fn new(folder: impl Into<PathBuf>) -> Self {
-        Self { folder: folder.into(), cap: DEFAULT_CAP, notes: Mutex::default(), used: Mutex::default() }
+        Self { folder: folder.into(), cap: None, notes: Mutex::default(), used: Mutex::default() }
     }
 
-    /// With another cap [bytes].
+    /// With another cap [bytes], for as long as this object lives; [`Store::keep_cap`] keeps it.
     pub fn with_cap(self, cap: u64) -> Self {
-        Self { cap, ..self }
+        Self { cap: Some(cap), ..self }
     }
 
     pub fn folder(&self) -> &Path {
         &self.folder
-    }
-
-    /// How much it may hold after [`Store::evict`] [bytes].
-    pub fn cap(&self) -> u64 {
-        self.cap
     }
 
     /// Where an artefact lies.

@@ -50,6 +50,12 @@ impl Notes {
         }
     }
 
+    /// The cap that was asked for could not be kept.
+    pub fn unkept(&mut self, folder: &Path, error: &io::Error) {
+        let folder = folder.display();
+        self.lines.push(format!("the cap of the store {folder} cannot be kept in it and holds this once: {error}"));
+    }
+
     pub fn take(&mut self) -> Vec<String> {
         let mut lines = std::mem::take(&mut self.lines);
         match std::mem::take(&mut self.more) {

@@ -1,12 +1,12 @@
 //! How much lies in a store, and whether it is what it says. Nothing is changed by looking.
 
 use std::collections::BTreeMap;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
 use luxel_scene::Progress;
 
-use super::list::{Held, Listing, StoreError};
+use super::list::{FULL_FOLDER, Held, Listing, StoreError};
 use super::{Key, Kind, Miss, Store, file};
 
 /// A number of files.
@@ -84,8 +84,14 @@ pub(super) fn judge(kind: Kind, key: &Key, held: &Held) -> Verdict {
         Err(Miss::Absent) if std::fs::symlink_metadata(&held.path).is_err() => Verdict::Gone,
         Err(miss @ Miss::Outdated { found, expected }) if found > expected => Verdict::Later(miss.to_string()),
         Err(miss @ Miss::Outdated { .. }) => Verdict::Earlier(miss.to_string()),
+        Err(miss) if held.is_folder && has_content(&held.path) => Verdict::Bad(format!("{miss}: {FULL_FOLDER}")),
         Err(miss) => Verdict::Bad(miss.to_string()),
     }
+}
+
+/// Whether something lies in a folder, or may, where nobody can look into it.
+fn has_content(folder: &Path) -> bool {
+    std::fs::read_dir(folder).map_or(true, |mut entries| entries.next().is_some())
 }
 
 impl Store {

@@ -24,7 +24,7 @@ use super::source::Watched;
 use super::{Baker, Ending, Finished, Message, Task, Watch};
 use crate::current::{self, State};
 use crate::store::StoreOptions;
-use crate::{Error, Request};
+use crate::{Error, Kept, Request};
 
 /// An error that nothing has contradicted for this time is told.
 const SETTLED: Duration = Duration::from_millis(400);
@@ -44,6 +44,7 @@ pub fn run(watch: Watch, baker: &dyn Baker, tell: &mut dyn FnMut(Event)) -> Endi
             scope,
             baker,
             sender,
+            kept: Kept::default(),
             worker,
             store,
             interval,
@@ -96,6 +97,7 @@ struct Course<'s, 'e, 't> {
     sender: Sender<Message>,
     worker: Option<PathBuf>,
     store: StoreOptions,
+    kept: Kept,
     interval: Duration,
     start: Instant,
     book: Book,
@@ -252,8 +254,14 @@ impl Course<'_, '_, '_> {
         };
         match (look.settings.clone(), look.outputs.clone()) {
             (Ok(settings), Ok(outputs)) => {
-                let request =
-                    Request { scene, outputs, settings, worker: self.worker.clone(), store: self.store.clone() };
+                let request = Request {
+                    scene,
+                    outputs,
+                    settings,
+                    worker: self.worker.clone(),
+                    store: self.store.clone(),
+                    kept: self.kept.clone(),
+                };
                 if !self.adopt(&request, &look) {
                     self.bake(request, look);
                 }

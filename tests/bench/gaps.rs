@@ -37,7 +37,8 @@ fn of(scene: &Path, settings: Settings) {
     let outputs = OutputSet::new(scene, Some(out.path()), None).expect("a place");
     let settings = Resolved { settings, ..Resolved::default() };
     let worker = Some(env!("CARGO_BIN_EXE_luxel").into());
-    let request = Request { scene: scene.into(), outputs, settings, worker, store: Default::default() };
+    let request =
+        Request { scene: scene.into(), outputs, settings, worker, store: Default::default(), kept: Default::default() };
     let looks = Looks::new();
     bake(&request, &looks).expect("a bake");
     for stage in looks.ended() {

@@ -89,8 +89,14 @@ fn resolved(scene: &Path) -> Resolved {
 /// Bakes in this process, whether the scene is current or not.
 pub fn run(scene: &Path, target: &Target) -> Baked {
     let outputs = OutputSet::new(scene, Some(&target.out), None).unwrap();
-    let request =
-        Request { scene: scene.into(), outputs, settings: resolved(scene), worker: None, store: target.store.clone() };
+    let request = Request {
+        scene: scene.into(),
+        outputs,
+        settings: resolved(scene),
+        worker: None,
+        store: target.store.clone(),
+        kept: Default::default(),
+    };
     bake(&request, &Silent).unwrap_or_else(|e| panic!("{e:?}"));
     Baked::read(&target.out)
 }

@@ -30,7 +30,14 @@ fn baked(scene: &Scene, folder: &Path, side: u32) -> (PathBuf, PathBuf) {
     let outputs = OutputSet::new(&path, None, None).unwrap();
     let settings = Settings { size: Texels(side), ..Settings::preset(Preset::Draft) };
     let settings = Resolved { settings, ..Resolved::default() };
-    let request = Request { scene: path.clone(), outputs, settings, worker: None, store: Default::default() };
+    let request = Request {
+        scene: path.clone(),
+        outputs,
+        settings,
+        worker: None,
+        store: Default::default(),
+        kept: Default::default(),
+    };
     let done = bake(&request, &Silent).unwrap();
     (path, done.files.last().unwrap().clone())
 }

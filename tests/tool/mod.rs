@@ -4,6 +4,7 @@
 #![allow(dead_code)] // Every test binary uses its part of this.
 
 pub mod client;
+pub mod skip;
 pub mod watcher;
 
 use std::collections::BTreeMap;

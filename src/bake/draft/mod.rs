@@ -17,6 +17,7 @@
 mod nodes;
 
 use std::borrow::Cow;
+use std::sync::Arc;
 
 use luxel_atlas::{Atlas, AtlasReport};
 use luxel_export::Effort;
@@ -43,11 +44,11 @@ use crate::settings::{
 use nodes::Nodes;
 
 /// Surfels, and voxels along the longest side, that a draft has at most.
-const SURFELS: u32 = 8_000;
+const SURFELS: u32 = 6_000;
 const SIDE: u32 = 48;
 
 /// Directions of the first bounce, and rays towards the sky, that it has at most.
-const DIRECTIONS: u32 = 128;
+const DIRECTIONS: u32 = 64;
 const SKY_RAYS: u32 = 128;
 
 /// The settings of a draft: those of layout and light stay.
@@ -61,7 +62,7 @@ fn settings(of: &Settings) -> Settings {
         voxels,
         bound: false,
         directions: Samples(of.directions.0.min(DIRECTIONS)),
-        tolerance: Tolerance(of.tolerance.0.max(1e-2)),
+        tolerance: Tolerance(of.tolerance.0.max(3e-2)),
         refresh: Count(0),
         photons: Count(0),
         closed: if of.closed == Closed::Auto { Closed::No } else { of.closed },
@@ -75,13 +76,13 @@ fn settings(of: &Settings) -> Settings {
     }
 }
 
-/// Writes a draft of the bake that `whole` is told of; hands the atlas back.
+/// Writes a draft of the bake that `whole` is told of.
 pub fn bake(
     outgoing: &Outgoing,
     whole: &Baking,
-    (atlas, atlas_report): (Atlas, AtlasReport),
+    (atlas, atlas_report): (Arc<Atlas>, AtlasReport),
     journal: &mut Journal,
-) -> Result<(Baked, Atlas, AtlasReport), Error> {
+) -> Result<Baked, Error> {
     let tracer = outgoing.tracer;
     // Both need the rays: that belongs to the course of the bake.
     tracer.rays(whole.plan, journal)?;
@@ -102,8 +103,7 @@ pub fn bake(
     journal.left_out(&plan, Stage::Preview);
     let lit = Lit { atlas, atlas_report, lightmaps, bounds, sums, transport, ..Lit::default() };
     let figures = (Vec::new(), outgoing.start.elapsed().as_secs_f64());
-    let baked = outgoing.write(&own, &lit, None, Effort::Fast, figures, journal)?;
-    Ok((baked, lit.atlas, lit.atlas_report))
+    outgoing.write(&own, &lit, None, Effort::Fast, figures, journal)
 }
 
 /// Light at all texels: what is stored of the bake, and the rest from nodes.

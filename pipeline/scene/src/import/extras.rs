@@ -27,6 +27,11 @@ const KNOWN: [&str; 7] =
 /// Longest name of a light group [bytes].
 const LONGEST_GROUP: usize = 100;
 
+/// The light group that a name stands for: without blanks around it, which nobody sees or types; a blank one is none.
+pub fn group_name(name: &str) -> Option<Arc<str>> {
+    Some(name.trim()).filter(|name| !name.is_empty()).map(Arc::from)
+}
+
 /// What holds for a node, inherited values included.
 #[derive(Clone, Debug, PartialEq)]
 pub struct NodeExtras {

@@ -1,13 +1,11 @@
 //! KHR_lights_punctual: point, spot and directional lights in the world.
 
-use std::sync::Arc;
-
 use glam::{DAffine3, DVec3, Vec3};
 use serde_json::Value;
 
 use super::document::Document;
 use super::error::{Checked, Fault, place};
-use super::extras::Keys;
+use super::extras::{Keys, group_name};
 use super::nodes::Visit;
 use super::notes::Notes;
 use super::options::ImportOptions;
@@ -79,7 +77,7 @@ pub fn read(
     // By its name a light is known again after an edit: a node's number would change with the nodes before it.
     let name = named.or(node).unwrap_or("light").to_owned();
     let group = visit.keys.group.clone().or(own.group).or_else(|| visit.extras.group.clone());
-    let group = group.or_else(|| node.or(named).map(Arc::from));
+    let group = group.or_else(|| [node, named].into_iter().flatten().find_map(group_name));
     let group = group.unwrap_or_else(|| document.node_place(visit.node).into());
     Ok(Some(Light { name, node: visit.node, group, kind, intensity }))
 }
@@ -222,6 +220,14 @@ mod tests {
         let node = format!(r#"[{{"name":"desk",{ON_NODE}}}]"#);
         assert_eq!(of(&node, named), ("bulb".into(), "desk".into()), "a group is named by its node");
         assert_eq!(of(&node, lamp), ("desk".into(), "desk".into()));
+        let spaced = format!(r#"[{{"name":" desk lamp ",{ON_NODE}}}]"#);
+        assert_eq!(
+            of(&spaced, lamp),
+            (" desk lamp ".into(), "desk lamp".into()),
+            "blanks around a name cannot be typed"
+        );
+        let blank = format!(r#"[{{"name":"  ",{ON_NODE}}}]"#);
+        assert_eq!(of(&blank, named).1, "bulb");
     }
 
     #[test]

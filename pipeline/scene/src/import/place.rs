@@ -6,7 +6,7 @@ use glam::{DAffine3, DMat3, DVec3, Vec3};
 
 use super::buffers::Buffers;
 use super::error::{Bound, Checked, Fault};
-use super::extras::Keys;
+use super::extras::{Keys, group_name};
 use super::materials::Materials;
 use super::nodes::{Visit, all_worlds};
 use super::notes::Notes;
@@ -115,7 +115,8 @@ impl<'a> Placer<'a> {
             false => self.shared(mesh, notes)?,
         };
         let name = document.node_name(visit.node);
-        let group = extras.group.clone().unwrap_or_else(|| name.as_str().into());
+        let group = extras.group.clone().or_else(|| group_name(&name));
+        let group = group.unwrap_or_else(|| document.node_place(visit.node).into());
         for (gpu_instance, world) in transforms {
             let world = if node.skin.is_some() { DAffine3::IDENTITY } else { world };
             for &mesh in &meshes {
