@@ -188,13 +188,12 @@ impl<'a> Parts<'a> {
         digest.done()
     }
 
-    /// What surfaces reflect, and which of them shine.
+    /// What surfaces reflect. What they emit is a matter of lights: surfels are made without regard to it.
     fn matter(&self) -> Key {
         let mut digest = Digest::new("matter");
         for instance in &self.scene.instances {
             let material = &self.scene.materials[self.scene.meshes[instance.mesh].material];
-            digest = self.surface(digest, material).flag(material.emits());
-            digest = self.reference(digest, material.emissive_texture.as_ref().filter(|_| material.emits()));
+            digest = self.surface(digest, material);
         }
         digest.done()
     }

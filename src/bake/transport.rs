@@ -386,8 +386,8 @@ mod tests {
         let hash = hasher.finalize().to_hex();
         let versions = STORED.map(|stage| format!("{} {}", stage.name(), stage.version())).join(", ");
         let known = (
-            "surfels 3, shoot 3, propagate 4, refresh 2",
-            "7a1e8172c31edfe1f523f33d6db8639500a32eb339998805cd9d44f9f57a2aaf",
+            "surfels 4, shoot 3, propagate 4, refresh 2",
+            "d0824b76628b103564faee07f058bdd7b9384caebcce76154604bf3a165062be",
         );
         assert_eq!(
             (versions.as_str(), hash.as_str()),
