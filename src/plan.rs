@@ -221,6 +221,13 @@ impl Plan {
         }
     }
 
+    /// Says why a stage runs although it was run before, as far as the bake needs it.
+    pub fn explain(&mut self, stage: Stage, why: &str) {
+        for step in self.steps.iter_mut().filter(|s| s.stage == stage && s.runs) {
+            step.reason += &format!("; {why}");
+        }
+    }
+
     pub fn reason(&self, stage: Stage) -> &str {
         self.steps.iter().find(|s| s.stage == stage).map_or("", |s| &s.reason)
     }

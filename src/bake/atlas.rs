@@ -28,6 +28,7 @@ pub fn run(
         return Ok((Atlas { placed: vec![None; scene.instances.len()], ..Atlas::default() }, AtlasReport::default()));
     }
     let reason = plan.reason(Stage::Unwrap).to_owned();
+    let mut layouts = String::new();
     let (atlas, report) = journal.made(Stage::Unwrap, &reason, None, |progress, counters| {
         let layout = Layout::build(scene, progress)?;
         let mut unwraps = Unwraps::new();
@@ -40,11 +41,12 @@ pub fn run(
         let (placement, is_stored) = placement(baking, &packing, progress)?;
         let (atlas, report) = packing.fill(&placement, progress)?;
         count(&atlas, &report, stored.len(), counters);
+        layouts = report::layouts(&report, new, is_stored);
         let state = if new == 0 && is_stored { StageState::Reused } else { StageState::Ran };
         Ok(((atlas, report), state))
     })?;
     if journal.state(Stage::Unwrap) == Some(StageState::Ran) {
-        journal.explain(Stage::Unwrap, &format!("{reason}; {}", report::layouts(&report)));
+        journal.add(Stage::Unwrap, &layouts);
     }
     Ok((atlas, report))
 }
