@@ -76,8 +76,8 @@ impl Stage {
     /// stored light of an older version is then made anew instead of being taken for this one's.
     pub fn version(self) -> u32 {
         match self {
-            Self::Propagate => 4,
-            Self::Unwrap | Self::Surfels | Self::Shoot | Self::Direct | Self::Gather | Self::Finish | Self::Export => 3,
+            Self::Surfels | Self::Propagate => 4,
+            Self::Unwrap | Self::Shoot | Self::Direct | Self::Gather | Self::Finish | Self::Export => 3,
             Self::Refresh | Self::Sky | Self::Preview => 2,
             Self::Import | Self::Rays | Self::Cache | Self::Clear => 1,
         }
@@ -218,6 +218,13 @@ impl Plan {
         for step in self.steps.iter_mut().filter(|s| s.stage == stage && s.runs) {
             step.reused = true;
             step.reason = reason.into();
+        }
+    }
+
+    /// Says why a stage runs although it was run before, as far as the bake needs it.
+    pub fn explain(&mut self, stage: Stage, why: &str) {
+        for step in self.steps.iter_mut().filter(|s| s.stage == stage && s.runs) {
+            step.reason += &format!("; {why}");
         }
     }
 

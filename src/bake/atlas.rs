@@ -31,6 +31,7 @@ pub fn run(
         return Ok((Arc::new(atlas), AtlasReport::default()));
     }
     let reason = plan.reason(Stage::Unwrap).to_owned();
+    let mut layouts = String::new();
     let (atlas, report) = journal.made(Stage::Unwrap, &reason, None, |progress, counters| {
         let layout = Layout::build(scene, progress)?;
         if let Some((atlas, report)) = kept(baking, scene, &layout) {
@@ -54,11 +55,12 @@ pub fn run(
             kept.keep(&baking.keys.layout, &atlas, &report);
         }
         count(&atlas, &report, stored.len(), counters);
+        layouts = report::layouts(&report, new, is_stored);
         let state = if new == 0 && is_stored { StageState::Reused } else { StageState::Ran };
         Ok(((atlas, report), state))
     })?;
     if journal.state(Stage::Unwrap) == Some(StageState::Ran) {
-        journal.explain(Stage::Unwrap, &format!("{reason}; {}", report::layouts(&report)));
+        journal.add(Stage::Unwrap, &layouts);
     }
     Ok((atlas, report))
 }

@@ -77,18 +77,7 @@ pub fn stored(baking: &Baking, atlas: &Atlas, journal: &mut Journal) -> Option<F
             _ => journal.left_out_unless_run(baking.plan, stage),
         }
     }
-    // The next edit may need them again.
-    if let Some(store) = baking.store {
-        for keys in &baking.keys.groups {
-            for (kind, key) in
-                [(Kind::Gather, keys.gather), (Kind::Direct, keys.direct), (Kind::Solution, keys.solution)]
-            {
-                store.touch(kind, &key);
-            }
-        }
-        store.touch(Kind::Surfels, &baking.keys.surfels);
-        store.touch(Kind::Clear, &baking.keys.clear);
-    }
+    (0..baking.keys.groups.len()).for_each(|group| baking.found(Kind::Finish, group));
     Some(finished)
 }
 
@@ -124,7 +113,7 @@ pub fn run(
             sums: *sums,
             surfels: facts.surfels,
             record: facts.record.clone(),
-            counters: journal.counted(&STANDS_FOR),
+            counters: journal.counted(plan, &STANDS_FOR),
             pages: lightmaps.len() as u32,
             bounds: bounds.len() as u32,
         };

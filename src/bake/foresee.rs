@@ -3,6 +3,7 @@
 use luxel_atlas::{Layout, layout::Source};
 use luxel_scene::{Progress, Scene};
 
+use super::cause::Cause;
 use super::groups::{Group, Lighting};
 use super::keys::{self, GroupKeys, Keys};
 use super::light_of;
@@ -10,10 +11,10 @@ use crate::Error;
 use crate::plan::{Plan, Stage};
 use crate::store::{Kind, Store};
 
-/// Marks the stages in a plan that stored artefacts will stand for.
-pub fn mark(plan: &mut Plan, store: &Store, scene: &Scene, lighting: &Lighting, keys: &Keys, why: &str) {
+/// Marks the stages in a plan that stored artefacts will stand for, and says why the others have to run.
+pub fn mark(plan: &mut Plan, store: &Store, scene: &Scene, lighting: &Lighting, keys: &Keys, why: &Cause) {
     let run = Run::new(plan, store, lighting, keys);
-    let reason = format!("stored: {why}");
+    let reason = format!("stored: {}", why.of_reuse());
     let unwraps = || {
         let layout = Layout::new(scene);
         let mut sources = scene.instances.iter().zip(&layout.sources);
@@ -35,8 +36,12 @@ pub fn mark(plan: &mut Plan, store: &Store, scene: &Scene, lighting: &Lighting, 
         (Stage::Gather, !run.gather),
         (Stage::Finish, !run.finish),
     ];
-    for (stage, _) in reused.into_iter().filter(|(_, reused)| *reused) {
-        plan.reuse(stage, &reason);
+    for (stage, reused) in reused {
+        match why.of_run(stage) {
+            _ if reused => plan.reuse(stage, &reason),
+            Some(why) => plan.explain(stage, &why),
+            None => {}
+        }
     }
 }
 

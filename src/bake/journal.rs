@@ -6,6 +6,7 @@ use std::time::Instant;
 use luxel_export::report::{Stage as Entry, StageState};
 use luxel_scene::Progress;
 
+use super::cause::Cause;
 use crate::Error;
 use crate::plan::{Plan, Stage};
 
@@ -15,14 +16,17 @@ pub type Counters = BTreeMap<String, u64>;
 /// Counters of which several runs of a stage have the largest one, not the sum.
 const LARGEST: [&str; 3] = ["surfels", "longest_cut", "closed"];
 
+/// The counter of what this very bake wrote [bytes].
+pub const WRITTEN: &str = "bytes";
+
 /// Runs stages as the plan says and writes down what happened. A stage may run several times, once for each light
 /// group, and be reused in between; it is one entry all the same.
 #[derive(Clone)]
 pub struct Journal<'a> {
     pub progress: &'a dyn Progress,
     pub entries: Vec<Entry>,
-    /// What has changed since the last bake, as far as that is known: why stages need not run.
-    pub cause: String,
+    /// What has changed since the last bake, as far as that is known: why stages run, or need not.
+    pub cause: Cause,
     /// The light group at work, where there are several.
     pub group: Option<String>,
     /// What stages counted that ran in this very bake, and what in their last run.
@@ -34,11 +38,10 @@ pub struct Journal<'a> {
 
 impl<'a> Journal<'a> {
     pub fn new(progress: &'a dyn Progress) -> Self {
-        let cause = "its input was seen before".into();
         Self {
             progress,
             entries: Vec::new(),
-            cause,
+            cause: Cause::default(),
             group: None,
             ran: BTreeMap::new(),
             last: BTreeMap::new(),
@@ -89,13 +92,14 @@ impl<'a> Journal<'a> {
         let start = Instant::now();
         let (result, state) = work(self.progress, &mut counters)?;
         if state == StageState::Reused {
-            let reason = format!("stored: {}", self.cause);
+            let reason = format!("stored: {}", self.cause.of_reuse());
             self.note(stage, state, &reason, 0.0, counters);
             return Ok(result);
         }
+        let reason = self.cause.of_run(stage).map_or_else(|| reason.to_owned(), |why| format!("{reason}; {why}"));
         add(self.ran.entry(stage).or_default(), &counters);
         self.last.insert(stage, counters.clone());
-        self.note(stage, state, reason, start.elapsed().as_secs_f64(), counters);
+        self.note(stage, state, &reason, start.elapsed().as_secs_f64(), counters);
         Ok(result)
     }
 
@@ -121,7 +125,7 @@ impl<'a> Journal<'a> {
     /// A stage whose result was stored; `counters` are those of when it ran.
     pub fn reused(&mut self, plan: &Plan, stage: Stage, counters: Counters) {
         if plan.runs(stage) {
-            let reason = format!("stored: {}", self.cause);
+            let reason = format!("stored: {}", self.cause.of_reuse());
             self.note(stage, StageState::Reused, &reason, 0.0, counters);
         }
     }
@@ -158,6 +162,13 @@ impl<'a> Journal<'a> {
         }
     }
 
+    /// Says more of a stage.
+    pub fn add(&mut self, stage: Stage, words: &str) {
+        if let Some(entry) = self.entries.iter_mut().find(|e| e.name == stage.name()) {
+            entry.reason += &format!("; {words}");
+        }
+    }
+
     /// What is written down of a stage so far.
     fn entry(&self, stage: Stage) -> Option<&Entry> {
         self.entries.iter().find(|e| e.name == stage.name())
@@ -188,10 +199,15 @@ impl<'a> Journal<'a> {
         self.last.get(&stage).cloned().unwrap_or_default()
     }
 
-    /// What stages counted, by their names: to be kept with what they made.
-    pub fn counted(&self, stages: &[Stage]) -> BTreeMap<String, Counters> {
-        let entries = self.entries.iter().filter(|e| stages.iter().any(|stage| stage.name() == e.name));
-        entries.map(|e| (e.name.clone(), e.counters.clone())).collect()
+    /// What those of the stages counted that the plan runs, by their names: to be kept with what they made. It is the
+    /// same whichever of them were reused.
+    pub fn counted(&self, plan: &Plan, stages: &[Stage]) -> BTreeMap<String, Counters> {
+        let lasting = |stage: &Stage| {
+            let mut counters = self.entry(*stage).map(|e| e.counters.clone()).unwrap_or_default();
+            counters.retain(|name, _| name != WRITTEN);
+            (stage.name().to_owned(), counters)
+        };
+        stages.iter().filter(|stage| plan.runs(**stage)).map(lasting).collect()
     }
 }
 
@@ -216,7 +232,6 @@ mod tests {
     #[test]
     fn a_stage_that_runs_for_several_groups_is_one_entry() {
         let (plan, mut journal) = (plan(), Journal::new(&Silent));
-        journal.cause = "only lights changed".into();
         let count = |n: u64| Counters::from([("rays".to_owned(), n), ("longest_cut".to_owned(), n)]);
         journal.run(&plan, Stage::Export, None, |_, _| Ok(())).unwrap();
         journal.group = Some("lamps".into());
@@ -237,7 +252,7 @@ mod tests {
         let names: Vec<&str> = entries.iter().map(|e| e.name.as_str()).collect();
         assert_eq!(names, ["surfels", "gather", "export"], "a stage that the plan leaves out is not reused");
         assert_eq!((entries[0].state, entries[1].state), (StageState::Reused, StageState::Ran));
-        assert_eq!(entries[0].reason, "stored: only lights changed");
+        assert_eq!(entries[0].reason, "stored: its input was seen before");
         assert!(entries[1].reason.ends_with("; for sun, stored for lamps"), "{}", entries[1].reason);
     }
 }

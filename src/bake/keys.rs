@@ -4,7 +4,7 @@
 //! layout    ← meshes of what receives with their sizes in the world, names, size, density, padding
 //! clear     ← layout, shape
 //! surfels   ← shape, matter, voxels, area
-//! shoot_g   ← surfels, lights of g, shadow samples, photons
+//! shoot_g   ← surfels, lights of g, shadow samples, photons, and where there are any, the names that seed them
 //! solution_g← shoot_g, sky if it is in g, directions, bounces, …, refresh
 //! direct_g  ← clear, lights of g, shadow samples
 //! sky       ← clear, sky, sky rays, node spacing
@@ -31,6 +31,28 @@ use super::groups::{Group, Lighting};
 use crate::plan::{Plan, Stage};
 use crate::settings::{Field, Settings};
 use crate::store::Key;
+
+// What a scene consists of, in words.
+pub const GEOMETRY: &str = "geometry";
+pub const MATERIALS: &str = "materials";
+pub const LIGHTS: &str = "lights";
+pub const SKY: &str = "the sky";
+pub const RECEIVERS: &str = "what receives light";
+
+// The settings that stages read.
+pub const LAYOUT: [&str; 3] = ["size", "texel_density", "padding"];
+pub const CLEAR: [&str; 1] = ["double_sided"];
+pub const SURFELS: [&str; 2] = ["voxels", "area"];
+pub const SHADOWS: [&str; 1] = ["shadow_samples"];
+/// Too many emissive surfaces are gathered by cuts, at surfels and at texels.
+pub const CROWD: [&str; 3] = ["cut_error", "cut_limit", "near_rays"];
+pub const PHOTONS: [&str; 1] = ["photons"];
+pub const SOLUTION: [&str; 7] = ["directions", "bounces", "tolerance", "closed", "direction_set", "rule", "refresh"];
+pub const SKY_LIGHT: [&str; 2] = ["sky_rays", "node_spacing"];
+pub const GATHER: [&str; 5] = ["cut_error", "cut_limit", "near_rays", "gather_rays", "node_spacing"];
+/// Read by what they come to, together with others; the last one leaves stages out.
+pub const MODE: [&str; 3] = ["gather", "bound", "only"];
+pub const FINISH: [&str; 2] = ["double_sided", "padding"];
 
 /// The keys of all artefacts of a scene.
 #[derive(Clone, Debug)]
@@ -70,29 +92,28 @@ impl Keys {
         let (shape, matter, sky_digest) = (parts.shape(), parts.matter(), sky(&scene.sky));
         let setting = |digest: Digest, names: &[&str]| names.iter().fold(digest, |d, name| d.setting(settings, name));
         let clear = Digest::stage(Stage::Clear).bytes(&layout).bytes(&shape);
-        let clear = setting(clear.version(Stage::Rays), &["double_sided"]).done();
+        let clear = setting(clear.version(Stage::Rays), &CLEAR).done();
         let solids = [shape, matter];
         let surfels = surfels_of(&solids, settings);
-        // Too many emissive surfaces are gathered by cuts, at surfels and at texels.
-        let lights = ["shadow_samples", "cut_error", "cut_limit", "near_rays"];
-        let lights = if lighting.is_crowd { &lights[..] } else { &lights[..1] };
+        let crowd = if lighting.is_crowd { &CROWD[..] } else { &[] };
+        let lit = |digest: Digest| setting(setting(digest, &SHADOWS), crowd);
+        let has_photons = settings.photons.0 > 0;
         let sky_key = Digest::stage(Stage::Sky).bytes(&clear).bytes(&sky_digest);
-        let sky_key = setting(sky_key, &["sky_rays", "node_spacing"]).done();
+        let sky_key = setting(sky_key, &SKY_LIGHT).done();
         let group = |group: &Group| {
             let own = parts.lights(group);
             let shoot = Digest::stage(Stage::Shoot).bytes(&surfels).bytes(&own);
-            let shoot = setting(setting(shoot, lights), &["photons"]).done();
+            let shoot = if has_photons { shoot.bytes(&parts.names(group)) } else { shoot };
+            let shoot = setting(lit(shoot), &PHOTONS).done();
             let solution = Digest::stage(Stage::Propagate).version(Stage::Refresh).version(Stage::Cache).bytes(&shoot);
             let solution = match group.sky {
                 Some(weight) => solution.bytes(&sky_digest).vec3(weight),
                 None => solution.text("no sky"),
             };
-            let how = ["directions", "bounces", "tolerance", "closed", "direction_set", "rule", "refresh"];
-            let solution = setting(solution, &how).done();
-            let direct = setting(Digest::stage(Stage::Direct).bytes(&clear).bytes(&own), lights).done();
+            let solution = setting(solution, &SOLUTION).done();
+            let direct = lit(Digest::stage(Stage::Direct).bytes(&clear).bytes(&own)).done();
             let gather = Digest::stage(Stage::Gather).bytes(&clear).bytes(&solution).text(settings.gatherer().name());
-            let how = ["cut_error", "cut_limit", "near_rays", "gather_rays", "node_spacing"];
-            let gather = setting(gather, &how).flag(plan.states_bound(settings)).done();
+            let gather = setting(gather, &GATHER).flag(plan.states_bound(settings)).done();
             GroupKeys { shoot, solution, direct, gather }
         };
         let groups: Vec<GroupKeys> = lighting.groups.par_iter().map(group).collect();
@@ -104,18 +125,16 @@ impl Keys {
                 finish = finish.text(stage.name()).bytes(&key);
             }
         }
-        let finish = setting(finish, &["double_sided", "padding"]).done();
+        let finish = setting(finish, &FINISH).done();
         let lights = lighting.groups.iter().fold(Digest::new("all lights"), |digest, group| {
-            digest.text(&group.name).bytes(&parts.lights(group)).vec3(if group.sky.is_some() {
-                Vec3::ZERO
-            } else {
-                group.factor
-            })
+            let digest = digest.text(&group.name).bytes(&parts.lights(group));
+            let digest = if has_photons { digest.bytes(&parts.names(group)) } else { digest };
+            digest.vec3(if group.sky.is_some() { Vec3::ZERO } else { group.factor })
         });
-        let lit = lighting.groups.iter().find(|g| g.sky.is_some()).map_or(Vec3::ZERO, |g| g.factor);
-        let sky = Digest::new("sky").bytes(&sky_digest).vec3(lit).done();
-        let named = [("geometry", shape), ("materials", matter), ("lights", lights.done()), ("the sky", sky)];
-        let named = named.into_iter().chain([("what receives light", parts.receivers(true))]);
+        let strength = lighting.groups.iter().find_map(|g| Some([g.sky?, g.factor])).unwrap_or_default();
+        let sky = strength.into_iter().fold(Digest::new("sky").bytes(&sky_digest), Digest::vec3).done();
+        let named = [(GEOMETRY, shape), (MATERIALS, matter), (LIGHTS, lights.done()), (SKY, sky)];
+        let named = named.into_iter().chain([(RECEIVERS, parts.receivers(true))]);
         let hex = |key: Key| blake3::Hash::from(key).to_hex().to_string();
         let parts = named.map(|(name, key)| (name.to_owned(), hex(key))).collect();
         Self { layout, clear, surfels, sky: sky_key, solids, groups, finish, parts }
@@ -129,7 +148,7 @@ impl Keys {
 
 fn surfels_of([shape, matter]: &[Key; 2], settings: &Settings) -> Key {
     let digest = Digest::stage(Stage::Surfels).version(Stage::Rays).bytes(shape).bytes(matter);
-    ["voxels", "area"].iter().fold(digest, |digest, name| digest.setting(settings, name)).done()
+    SURFELS.iter().fold(digest, |digest, name| digest.setting(settings, name)).done()
 }
 
 /// What a scene is made of, by content.
@@ -149,7 +168,7 @@ impl<'a> Parts<'a> {
     /// What texels are made of: what receives, with its size in the world, on pages as the settings have them.
     fn layout(&self, settings: &Settings) -> Key {
         let digest = Digest::stage(Stage::Unwrap).bytes(&self.receivers(false));
-        ["size", "texel_density", "padding"].iter().fold(digest, |d, name| d.setting(settings, name)).done()
+        LAYOUT.iter().fold(digest, |d, name| d.setting(settings, name)).done()
     }
 
     /// What receives light; without the places, what decides its layout.
@@ -188,13 +207,12 @@ impl<'a> Parts<'a> {
         digest.done()
     }
 
-    /// What surfaces reflect, and which of them shine.
+    /// What surfaces reflect. What they emit is a matter of lights: surfels are made without regard to it.
     fn matter(&self) -> Key {
         let mut digest = Digest::new("matter");
         for instance in &self.scene.instances {
             let material = &self.scene.materials[self.scene.meshes[instance.mesh].material];
-            digest = self.surface(digest, material).flag(material.emits());
-            digest = self.reference(digest, material.emissive_texture.as_ref().filter(|_| material.emits()));
+            digest = self.surface(digest, material);
         }
         digest.done()
     }
@@ -253,18 +271,32 @@ impl<'a> Parts<'a> {
                 Source::Instance(i) => {
                     let instance = &scene.instances[i as usize];
                     let material = &scene.materials[scene.meshes[instance.mesh].material];
-                    digest = digest.text("surface").number(i.into()).text(&instance.name).vec3(material.emission);
+                    digest = digest.text("surface").number(i.into()).vec3(material.emission);
                     digest = self.reference(digest, material.emissive_texture.as_ref());
                 }
                 Source::Light(i) => {
-                    let Light { name, node: _, group: _, kind, intensity } = &scene.lights[i as usize];
-                    // Lights of one name are told apart by their order.
-                    let others = scene.lights[..i as usize].iter().filter(|l| l.name == *name).count();
-                    digest = light(digest.text(name).number(others as u64), kind).vec3(*intensity);
+                    let Light { name: _, node: _, group: _, kind, intensity } = &scene.lights[i as usize];
+                    digest = light(digest.text("light"), kind).vec3(*intensity);
                 }
             }
         }
         digest.done()
+    }
+
+    /// What the sources of a group are called: the seeds of their photons, and of nothing else.
+    fn names(&self, group: &Group) -> Key {
+        let scene = self.scene;
+        let digest = Digest::new("names");
+        let name = |digest: Digest, source: &Source| match *source {
+            Source::Instance(i) => digest.text(&scene.instances[i as usize].name),
+            Source::Light(i) => {
+                let name = &scene.lights[i as usize].name;
+                // Lights of one name are told apart by their order.
+                let others = scene.lights[..i as usize].iter().filter(|l| l.name == *name).count();
+                digest.text(name).number(others as u64)
+            }
+        };
+        group.sources.keys().fold(digest, name).done()
     }
 }
 

@@ -24,6 +24,7 @@ mod texels;
 mod tracer;
 mod transport;
 mod turns;
+mod upstream;
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;

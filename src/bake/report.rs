@@ -161,13 +161,16 @@ fn quality(report: &mut Report, plan: &Plan, lit: &Lit, settings: &Settings, jou
     }
 }
 
-/// How the meshes came by their texels' layout, in words.
-pub fn layouts(atlas: &AtlasReport) -> String {
+/// How the meshes came by their texels' layout, in words: `new` of them were unwrapped in this very bake, and the place
+/// of their charts was stored or is found by it.
+pub fn layouts(atlas: &AtlasReport, new: usize, is_placed: bool) -> String {
     format!(
-        "meshes unwrapped: {}, further instances that share an unwrap: {}, meshes that keep their TEXCOORD_1: {}",
-        atlas.unwrapped,
+        "meshes unwrapped now: {new}, unwraps that were stored: {}, further instances that share an unwrap: {}, meshes \
+         that keep their TEXCOORD_1: {}, {}",
+        (atlas.unwrapped as usize).saturating_sub(new),
         atlas.shared,
-        atlas.kept.len()
+        atlas.kept.len(),
+        if is_placed { "charts where they were" } else { "charts placed anew" }
     )
 }
 

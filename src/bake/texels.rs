@@ -176,6 +176,7 @@ fn reflected_layers(
         Ok((head(body)?, head(body)?, layers(body, receivers, bound)?))
     };
     if let Some((record, counters, layers)) = baking.store.and_then(|store| store.get(Kind::Gather, key, stored)) {
+        baking.found(Kind::Gather, number);
         transport.recall(&record, plan, journal);
         transport.facts.add(record, baking.lighting.groups[number].factor);
         journal.reused(plan, Stage::Gather, counters);

@@ -20,7 +20,7 @@ use luxel_transport::{
 use super::Baking;
 use super::artefact::{self, head, put_slice, put_value};
 use super::direct;
-use super::journal::{Counters, Journal};
+use super::journal::{Counters, Journal, WRITTEN};
 use super::record::Record;
 use super::tracer::Tracer;
 use crate::Error;
@@ -125,6 +125,7 @@ impl Transport {
             Ok((record, surfels, solution))
         };
         if let Some((record, surfels, solution)) = baking.store.and_then(|store| store.get(Kind::Solution, key, read)) {
+            baking.found(Kind::Solution, number);
             self.recall(&record, plan, journal);
             let surfels = self.surfels.get_or_insert_with(|| Rc::new(surfels)).clone();
             return Ok((surfels, solution, record));
@@ -141,7 +142,7 @@ impl Transport {
                 put_value(out, &record)?;
                 octree.write(out)
             })?;
-            counters.extend(written.map(|bytes| ("bytes".into(), bytes)));
+            counters.extend(written.map(|bytes| (WRITTEN.into(), bytes)));
             progress.advance(1);
             Ok(())
         })?;
@@ -269,6 +270,7 @@ impl Transport {
         let count = surfels.list.len();
         let read = |body: &mut Reader| Ok((head::<Counters>(body)?, artefact::light(body, count)?));
         if let Some((counters, light)) = baking.store.and_then(|store| store.get(Kind::Shoot, key, read)) {
+            baking.found(Kind::Shoot, number);
             journal.reused(plan, Stage::Shoot, counters.clone());
             return Ok(Some((light, counters)));
         }
@@ -387,8 +389,8 @@ mod tests {
         let hash = hasher.finalize().to_hex();
         let versions = STORED.map(|stage| format!("{} {}", stage.name(), stage.version())).join(", ");
         let known = (
-            "surfels 3, shoot 3, propagate 4, refresh 2",
-            "7a1e8172c31edfe1f523f33d6db8639500a32eb339998805cd9d44f9f57a2aaf",
+            "surfels 4, shoot 3, propagate 4, refresh 2",
+            "d0824b76628b103564faee07f058bdd7b9384caebcce76154604bf3a165062be",
         );
         assert_eq!(
             (versions.as_str(), hash.as_str()),

@@ -192,7 +192,7 @@ impl Drop for Turn<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use luxel_scene::Silent;
+    use luxel_scene::{Silent, Unwanted};
     use std::sync::atomic::{AtomicUsize, Ordering};
 
     fn wish(number: usize, bytes: u64) -> Wish {
@@ -291,14 +291,6 @@ mod tests {
 
     #[test]
     fn who_waits_can_be_cancelled() {
-        struct Unwanted;
-        impl Progress for Unwanted {
-            fn begin(&self, _: &'static str, _: u64) {}
-            fn advance(&self, _: u64) {}
-            fn is_cancelled(&self) -> bool {
-                true
-            }
-        }
         let turns = Turns::new(3, 1, 2);
         let first = turns.turn(0, 0);
         first.enter(&Memory::default(), &Silent).unwrap();

@@ -204,7 +204,7 @@ fn clock(folder: &Path) -> io::Result<SystemTime> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use luxel_scene::Silent;
+    use luxel_scene::{Silent, Unwanted};
     use std::fs::{self, File};
     use std::io::Write;
 
@@ -392,14 +392,6 @@ mod tests {
 
     #[test]
     fn a_cancelled_survey_stops() {
-        struct Unwanted;
-        impl Progress for Unwanted {
-            fn begin(&self, _: &'static str, _: u64) {}
-            fn advance(&self, _: u64) {}
-            fn is_cancelled(&self) -> bool {
-                true
-            }
-        }
         let bench = Bench::new(&[1]);
         let store = bench.store(0);
         assert!(matches!(store.verify(&Unwanted), Err(StoreError::Cancelled(_))));

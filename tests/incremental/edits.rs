@@ -349,7 +349,8 @@ fn change_image(level: &mut Level, random: &mut Random) -> String {
 }
 
 /// Settings with values, all cheap.
-pub const SETTINGS: [(&str, &[&str]); 30] = [
+pub const SETTINGS: [(&str, &[&str]); 36] = [
+    ("preset", &["\"draft\"", "\"medium\""]),
     ("size", &["32", "48"]),
     ("texel_density", &["\"auto\"", "6"]),
     ("padding", &["2", "3", "4"]),
@@ -371,7 +372,7 @@ pub const SETTINGS: [(&str, &[&str]); 30] = [
     ("bounces", &["64", "2"]),
     ("tolerance", &["0.003", "0.1"]),
     ("refresh", &["0", "8"]),
-    ("closed", &["\"auto\"", "\"yes\"", "\"no\""]),
+    ("closed", &["\"auto\"", "\"no\"", "\"yes\""]),
     ("photons", &["0", "2000"]),
     ("direction_set", &["\"fibonacci\"", "\"integer\""]),
     ("rule", &["\"surface\"", "\"literal\""]),
@@ -379,7 +380,13 @@ pub const SETTINGS: [(&str, &[&str]); 30] = [
     ("gather", &["\"auto\"", "\"lightcuts\"", "\"final\"", "\"lookup\""]),
     ("cut_error", &["0.05", "0.2"]),
     ("node_spacing", &["4", "1"]),
-    ("shadow_samples", &["4", "8"]),
+    // Points come by the 64.
+    ("shadow_samples", &["4", "65"]),
+    ("bake_animated", &["false", "true"]),
+    ("cut_limit", &["40", "5"]),
+    ("near_rays", &["4", "6"]),
+    ("gather_rays", &["16", "24"]),
+    ("sky_rays", &["16", "64"]),
 ];
 
 fn change_setting(level: &mut Level, random: &mut Random) -> String {

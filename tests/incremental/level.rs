@@ -49,6 +49,8 @@ pub struct Level {
     /// Seed of the sky's image.
     pub sky: u32,
     pub camera: Option<Value>,
+    /// The name of a node that moves, if there is one of it.
+    pub animated: &'static str,
     /// Lines of `luxel.toml`.
     pub settings: BTreeMap<&'static str, String>,
 }
@@ -133,6 +135,7 @@ impl Level {
             sky: 1,
             // A wide strip from afar: else the picture would be the larger part of such a bake.
             camera: Some(json!({ "at": [0.0, 1.0, 9.0], "aspect": 10.0 })),
+            animated: "fan",
             settings,
         }
     }
@@ -196,6 +199,7 @@ impl Level {
             object("ball", 8, [-1.3, 0.2, 0.9]),
             lamp("second", 2, [-1.0, 1.1, -1.0]),
             sun,
+            object("fan", 3, [0.3, 1.3, 0.4]),
         ]);
         for name in ["bulb", "spot"] {
             level.node(name)["extras"] = json!({ "luxel_group": "lamps" });
@@ -237,6 +241,15 @@ impl Level {
             |i: &usize| !nodes.iter().any(|n| n["children"].as_array().is_some_and(|c| c.contains(&json!(i))));
         let roots: Vec<usize> = (0..nodes.len()).filter(is_root).collect();
         document["scenes"] = json!([{ "nodes": roots }]);
+        if let Some(node) = nodes.iter().position(|n| n["name"] == self.animated) {
+            let [input, output] =
+                [vec![vec![0.0], vec![1.0]], vec![vec![0.0; 3], vec![1.0; 3]]].map(|v| bin.floats(&v));
+            let target = json!({ "node": node, "path": "translation" });
+            document["animations"] = json!([{
+                "samplers": [{ "input": input, "output": output }],
+                "channels": [{ "sampler": 0, "target": target }],
+            }]);
+        }
         document["nodes"] = json!(nodes);
         if !self.lights.is_empty() {
             document["extensions"] = json!({ "KHR_lights_punctual": { "lights": self.lights } });

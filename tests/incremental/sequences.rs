@@ -33,7 +33,7 @@ fn sequence(seed: u64) -> Result<usize, String> {
         let baked = run(&scene, &place.target());
         let failed = |why: String| format!("seed {seed}, edits {told:#?}:\n{why}");
         baked.is_same(&clean(&scene)).map_err(&failed)?;
-        baked.is_as(&planned).map_err(&failed)?;
+        baked.is_as(&planned).and_then(|()| baked.forgot_nothing()).map_err(&failed)?;
         if let Some(warning) = baked.warnings("store").first() {
             return Err(failed(warning.to_string()));
         }

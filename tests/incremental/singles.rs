@@ -1,5 +1,8 @@
 //! Every single thing that a bake reads, changed for itself in a level that was baked: what a key misses shows here.
 
+use std::collections::BTreeSet;
+
+use luxel::settings::FIELDS;
 use serde_json::{Value, json};
 
 use crate::baked::{Place, clean, plan, run};
@@ -81,29 +84,26 @@ const EDITS: [Edit; 50] = [
     ("the image of a surface's light", |l| l.materials[6]["emissiveTexture"]["index"] = json!(2)),
 ];
 
-/// Bakes a level and then, from the same store, the same with every edit for itself, each of which has to show in the
-/// light where that is said.
-fn bakes(level: &Level, edits: impl Iterator<Item = (String, Level)>, has_to_differ: bool) {
+/// Bakes a level and then, from the same store, the same with every edit for itself. Each of them has to show in the
+/// light, but those that are called unseen must not.
+fn bakes(level: &Level, edits: impl Iterator<Item = (String, Level)>, unseen: &[(&str, &str)]) {
     let place = Place::new();
     let first = place.bake(level);
     let scene = place.at(SCENE);
     let mut wrong = Vec::new();
-    let mut same = 0;
     for (what, edited) in edits {
         edited.write(place.folder.path());
         let planned = plan(&scene, &place.target());
         let baked = run(&scene, &place.target());
         let right = clean(&scene);
-        let is_right = baked.is_same(&right).and_then(|()| baked.is_as(&planned));
+        let is_right = baked.is_same(&right).and_then(|()| baked.is_as(&planned)).and_then(|()| baked.forgot_nothing());
         wrong.extend(is_right.err().map(|why| format!("{what}: {why}")));
-        if first.light == right.light {
-            same += 1;
-            if has_to_differ {
-                wrong.push(format!("{what}: the light is the same, so nothing was proved"));
-            }
+        match (first.light == right.light, unseen.iter().find(|(name, _)| *name == what)) {
+            (true, None) => wrong.push(format!("{what}: the light is the same, so nothing was proved")),
+            (false, Some((_, why))) => wrong.push(format!("{what}: the light differs although {why}")),
+            (true, Some(_)) | (false, None) => {}
         }
     }
-    println!("{same} edits left the light as it was");
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
 }
 
@@ -120,7 +120,7 @@ fn every_edit_for_itself_is_baked_as_a_clean_bake_does() {
     // The names of lights seed photons.
     let mut level = Level::rich();
     level.set("photons", "1000");
-    bakes(&level, edited(&level, &EDITS), true);
+    bakes(&level, edited(&level, &EDITS), &[]);
 }
 
 /// Where nothing reflects, the finished images follow from the sky's own light and its weight alone.
@@ -135,25 +135,41 @@ fn a_sky_is_weighed_in_a_black_level_too() {
         ("the sun's weight in the sky's group", |l| l.lights[3]["intensity"] = json!(0.1)),
         ("the sky's image", |l| l.sky = 5),
     ];
-    bakes(&level, edited(&level, &edits), true);
+    bakes(&level, edited(&level, &edits), &[]);
 }
 
+/// Settings that no light follows from.
+const UNSEEN: [(&str, &str); 1] = [("bound", "it writes an image beside the light")];
+
+/// Settings that are tried elsewhere.
+const ELSEWHERE: [(&str, &str); 1] = [("threads", "it changes no byte and is in no key: see the stages")];
+
+/// Of every setting one other value, in a level where it has an effect: the sequences see the rest.
 #[test]
 fn every_setting_for_itself_is_baked_as_a_clean_bake_does() {
-    let mut level = Level::rich();
-    level.set("gather", "\"lightcuts\"");
-    level.set("node_spacing", "4");
-    // Of every setting one other value: the sequences see the rest.
-    let settings = SETTINGS.iter().filter_map(|(name, values)| {
-        let differs = |value: &&&str| level.settings.get(name).is_none_or(|was| was != *value);
-        Some((*name, *values.iter().rfind(differs)?))
-    });
-    let edits: Vec<(String, Level)> = settings
-        .map(|(name, value)| {
+    let named: BTreeSet<&str> = SETTINGS.iter().map(|(name, _)| *name).collect();
+    let elsewhere = ELSEWHERE.iter().map(|(name, _)| *name);
+    let all: BTreeSet<&str> = FIELDS.iter().map(|field| field.name).collect();
+    assert_eq!(named.iter().copied().chain(elsewhere).collect::<BTreeSet<_>>(), all, "every setting has to be tried");
+
+    let gathers = |mode: &str, spacing: &str| {
+        let mut level = Level::rich();
+        level.set("gather", mode);
+        level.set("node_spacing", spacing);
+        level
+    };
+    let (by_cuts, by_rays) = (gathers("\"lightcuts\"", "4"), gathers("\"final\"", "4"));
+    for (level, is_of_it) in [(by_cuts, false), (by_rays, true)] {
+        let settings = SETTINGS.iter().filter(|(name, _)| (*name == "gather_rays") == is_of_it);
+        let other = settings.filter_map(|(name, values)| {
+            let differs = |value: &&&str| level.settings.get(name).is_none_or(|was| was != *value);
+            Some((*name, *values.iter().rfind(differs)?))
+        });
+        let edits = other.map(|(name, value)| {
             let mut edited = level.clone();
             edited.set(name, value);
-            (format!("{name} = {value}"), edited)
-        })
-        .collect();
-    bakes(&level, edits.into_iter(), false);
+            (name.to_owned(), edited)
+        });
+        bakes(&level, edits, &UNSEEN);
+    }
 }

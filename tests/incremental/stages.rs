@@ -1,6 +1,8 @@
 //! Which stages an edit costs, in which words, and that a plan foresees it: every bake here is planned before.
 
+use std::collections::BTreeSet;
 use std::fs;
+use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
 use luxel::current::{State, check};
@@ -11,7 +13,7 @@ use serde_json::{Value, json};
 
 use crate::baked::{Baked, Place, Target, clean, plan, run};
 use crate::level::{Level, SCENE, Shape, matte, object};
-use crate::tool::luxel;
+use crate::tool::{files, luxel};
 
 /// What every bake does, whatever is stored.
 const ALWAYS: [&str; 4] = ["import", "rays", "preview", "export"];
@@ -27,12 +29,16 @@ struct Edited {
 
 /// Bakes the level, edits it, plans and bakes again, and compares with a clean bake.
 fn edited(edit: impl FnOnce(&mut Level)) -> Edited {
+    edited_from(Level::new(), edit)
+}
+
+fn edited_from(mut level: Level, edit: impl FnOnce(&mut Level)) -> Edited {
     let place = Place::new();
-    let mut level = Level::new();
     let before = place.bake_as_planned(&level);
     edit(&mut level);
     let after = place.bake_as_planned(&level);
     after.is_same(&clean(&place.at(SCENE))).unwrap();
+    after.forgot_nothing().unwrap();
     Edited { before, after }
 }
 
@@ -55,6 +61,15 @@ impl Edited {
         let reused = |s: &&Value| s["state"] == "reused";
         for stage in self.after.report["stages"].as_array().unwrap().iter().filter(reused) {
             assert_eq!(stage["reason"], reason, "{}", stage["name"]);
+        }
+        self
+    }
+
+    /// The stages ran for this reason; the first word is that of their own work, the last one of the groups.
+    fn ran_because(self, stages: &[&str], reason: &str) -> Self {
+        for stage in stages {
+            let told = self.after.stage(stage)["reason"].as_str().unwrap();
+            assert!(told.split("; ").nth(1) == Some(reason), "{stage}: {told}");
         }
         self
     }
@@ -144,6 +159,8 @@ fn moving_a_lamp_runs_that_lamp_alone() {
         .ran(&[&GROUP[..], &["finish"]].concat())
         .for_group("bulb", &GROUP)
         .because("stored: only lights changed")
+        .ran_because(&GROUP, "lights changed")
+        .ran_because(&["finish"], "lights changed")
         .changes_the_light();
 }
 
@@ -178,6 +195,62 @@ fn a_lamp_that_is_added_or_removed_leaves_the_others() {
     edited(|level| level.nodes.retain(|n| n["name"] != "bulb")).ran(&["finish"]).changes_the_light();
 }
 
+/// A lamp that lies in a wall shares voxels with it.
+fn lamp_in_the_wall() -> Level {
+    let mut level = Level::new();
+    let panel = level.node("panel");
+    panel["translation"] = json!([0.9, 1.0, -1.999]);
+    panel["rotation"] = json!([0.0, 0.0, 0.0, 1.0]);
+    level
+}
+
+#[test]
+fn a_surface_that_is_switched_off_and_on_leaves_the_others() {
+    let off = |level: &mut Level| level.materials[2]["emissiveFactor"] = json!([0.0, 0.0, 0.0]);
+    edited_from(lamp_in_the_wall(), off)
+        .ran(&["finish"])
+        .because("stored: only lights changed")
+        .ran_because(&["finish"], "lights changed")
+        .changes_the_light();
+    let mut dark = lamp_in_the_wall();
+    off(&mut dark);
+    edited_from(dark, |level| level.materials[2]["emissiveFactor"] = json!([1.0, 0.8, 0.5]))
+        .ran(&[&GROUP[..], &["finish"]].concat())
+        .for_group("panel", &GROUP)
+        .because("stored: only lights changed")
+        .changes_the_light();
+}
+
+#[test]
+fn another_image_of_a_surfaces_light_leaves_the_others() {
+    let image =
+        |index: usize| move |level: &mut Level| level.materials[2]["emissiveTexture"] = json!({ "index": index });
+    let mut before = lamp_in_the_wall();
+    image(0)(&mut before);
+    for level in [lamp_in_the_wall(), before] {
+        edited_from(level, image(3))
+            .ran(&[&GROUP[..], &["finish"]].concat())
+            .for_group("panel", &GROUP)
+            .because("stored: only lights changed")
+            .changes_the_light();
+    }
+}
+
+#[test]
+fn the_name_of_a_lamp_matters_to_photons_alone() {
+    edited(|level| level.lights[0]["name"] = json!("torch"))
+        .ran(&[])
+        .because("stored: nothing that it reads has changed");
+    // The node's name is that of its group.
+    edited(|level| level.node("bulb")["name"] = json!("lantern")).ran(&[]).because("stored: only lights changed");
+    let mut level = Level::new();
+    level.set("photons", "1000");
+    edited_from(level, |level| level.lights[0]["name"] = json!("torch"))
+        .ran(&["shoot", "propagate", "cache", "gather", "finish"])
+        .ran_because(&["shoot", "gather"], "lights changed")
+        .changes_the_light();
+}
+
 #[test]
 fn a_sky_that_changes_runs_the_sky_alone() {
     let place = Place::new();
@@ -206,6 +279,7 @@ fn another_albedo_keeps_unwraps_and_direct_light() {
     edited(|level| level.materials[3] = matte([0.1, 0.5, 0.2]))
         .ran(&["surfels", "shoot", "propagate", "cache", "gather", "finish"])
         .because("stored: only materials changed")
+        .ran_because(&["surfels", "shoot", "propagate", "cache", "gather", "finish"], "materials changed")
         .changes_the_light();
 }
 
@@ -222,6 +296,7 @@ fn another_size_of_the_lightmap_keeps_the_octree_and_unwraps() {
         .ran(&["unwrap", "clear", "direct", "gather", "finish"])
         .because("stored: only the setting size changed");
     assert_eq!(done.after.count("unwrap", "stored_unwraps"), done.after.count("unwrap", "unwrapped_meshes"));
+    done.ran_because(&["unwrap", "clear", "direct", "gather"], "the setting size changed");
 }
 
 #[test]
@@ -233,11 +308,18 @@ fn settings_run_what_reads_them_and_what_follows() {
         ("gather", "\"lightcuts\"", &["gather", "finish"]),
         ("shadow_samples", "8", &["shoot", "propagate", "cache", "direct", "gather", "finish"]),
         ("threads", "1", &[]),
-        ("sky_rays", "64", &[]),
         ("only", "\"direct\"", &["finish"]),
     ] {
-        edited(|level| level.set(setting, value)).ran(stages);
+        edited(|level| level.set(setting, value))
+            .ran(stages)
+            .ran_because(stages, &format!("the setting {setting} changed"));
     }
+    edited(|level| level.set("sky_rays", "64")).ran(&[]).because("stored: only the setting sky_rays changed");
+    let mut level = Level::new();
+    level.set("sky", "\"1,1,2\"");
+    level.set("gather", "\"lightcuts\"");
+    let sky = ["sky", "finish"];
+    edited_from(level, |level| level.set("sky_rays", "64")).ran(&sky).ran_because(&sky, "the setting sky_rays changed");
 }
 
 #[test]
@@ -259,6 +341,10 @@ fn one_mesh_that_changes_is_the_only_one_to_be_unwrapped() {
     let [meshes, stored] = ["unwrapped_meshes", "stored_unwraps"].map(|c| done.after.count("unwrap", c));
     assert_eq!((meshes, stored), (4, 3));
     assert_eq!(done.after.stage("unwrap")["state"], "ran");
+    let told = "; what receives light changed; meshes unwrapped now: 1, unwraps that were stored: 3, further instances \
+                that share an unwrap: 1, meshes that keep their TEXCOORD_1: 0, charts placed anew";
+    let reason = done.after.stage("unwrap")["reason"].as_str().unwrap();
+    assert!(reason.ends_with(told), "{reason}");
 }
 
 #[test]
@@ -267,6 +353,78 @@ fn one_more_instance_of_a_mesh_unwraps_nothing() {
     let [meshes, stored, shared] =
         ["unwrapped_meshes", "stored_unwraps", "shared_unwraps"].map(|c| done.after.count("unwrap", c));
     assert_eq!((meshes, stored, shared), (4, 4, 2));
+}
+
+#[test]
+fn a_name_or_a_padding_places_charts_and_unwraps_nothing() {
+    let edits: [fn(&mut Level); 2] =
+        [|level| level.node("crate")["name"] = json!("box"), |level| level.set("padding", "4")];
+    for edit in edits {
+        let done = edited(edit);
+        let unwrap = done.after.stage("unwrap");
+        let reason = unwrap["reason"].as_str().unwrap();
+        assert!(
+            unwrap["state"] == "ran" && reason.contains("; meshes unwrapped now: 0, unwraps that were stored: 4, ")
+        );
+        assert!(reason.ends_with(", charts placed anew"), "{reason}");
+    }
+}
+
+/// The artefacts that were used since everything was marked as old, and those that were not, by their kinds.
+fn used(store: &Path, work: impl FnOnce()) -> [BTreeSet<String>; 2] {
+    let all = || files(store).into_keys().map(|name| store.join(name));
+    for path in all() {
+        fs::File::options().append(true).open(path).unwrap().set_modified(SystemTime::UNIX_EPOCH).unwrap();
+    }
+    work();
+    let is_used = |path: &PathBuf| fs::metadata(path).unwrap().modified().unwrap() > SystemTime::UNIX_EPOCH;
+    let kind = |path: PathBuf| path.parent().unwrap().file_name().unwrap().to_str().unwrap().to_owned();
+    let (used, left): (Vec<PathBuf>, Vec<PathBuf>) = all().partition(is_used);
+    [used, left].map(|paths| paths.into_iter().map(kind).collect())
+}
+
+/// An octree of a level in which lamps are moved all day must not be the first to be evicted.
+#[test]
+fn what_was_made_from_an_artefact_that_is_used_is_used() {
+    let mut level = Level::new();
+    level.set("sky", "\"1,1,2\"");
+    level.set("gather", "\"lightcuts\"");
+    let place = Place::new();
+    place.bake_as_planned(&level);
+    let store = place.at("baked/.luxel");
+    // The finished images serve.
+    let [all, left] = used(&store, || assert_eq!(place.bake(&level).ran(), ALWAYS));
+    assert_eq!(all.len(), 10, "{all:?}");
+    assert!(left.is_empty(), "{left:?}");
+    // They do not, the gathers do.
+    level.lights[0]["color"] = json!([0.2, 0.3, 1.0]);
+    let bake = |level: &Level| place.bake(level).ran().contains(&"gather");
+    let [all, left] = used(&store, || assert!(!bake(&level)));
+    assert!(all.len() == 10 && left.iter().eq(["finish"]), "{left:?}");
+    // The octrees do.
+    level.set("near_rays", "5");
+    let [all, left] = used(&store, || assert!(bake(&level)));
+    assert!(all.len() == 10 && left.iter().eq(["finish", "gather"]), "{left:?}");
+    // The direct light at surfels does.
+    level.set("bounces", "3");
+    let [all, left] = used(&store, || assert!(bake(&level)));
+    assert!(all.len() == 10 && left.iter().eq(["finish", "gather", "solution"]), "{left:?}");
+}
+
+#[test]
+fn a_first_bake_and_one_whose_store_was_emptied_say_so() {
+    let (place, level) = (Place::new(), Level::new());
+    let first = place.bake_as_planned(&level);
+    let stored = ["unwrap", "surfels", "shoot", "propagate", "cache", "clear", "direct", "gather", "finish"];
+    let why = |baked: &Baked, stage: &str| {
+        baked.stage(stage)["reason"].as_str().unwrap().split("; ").nth(1).unwrap_or_default().to_owned()
+    };
+    assert_eq!(stored.map(|stage| why(&first, stage)), ["nothing stored for it"; 9]);
+    fs::remove_dir_all(place.at("baked/.luxel")).unwrap();
+    let again = place.bake_as_planned(&level);
+    assert_eq!(stored.map(|stage| why(&again, stage)), ["not stored any more"; 9]);
+    assert!(ALWAYS.iter().all(|stage| why(&again, stage).is_empty()));
+    again.is_same(&first).unwrap();
 }
 
 #[test]

@@ -53,6 +53,17 @@ impl Progress for Silent {
     fn advance(&self, _: u64) {}
 }
 
+/// Who waited has gone before the work began: for the tests of what may be cancelled.
+pub struct Unwanted;
+
+impl Progress for Unwanted {
+    fn begin(&self, _: &'static str, _: u64) {}
+    fn advance(&self, _: u64) {}
+    fn is_cancelled(&self) -> bool {
+        true
+    }
+}
+
 /// The items of a loop that looks at the progress before the first, and before every [`EVERY`]th one after it.
 pub fn watched<I: IntoIterator>(
     items: I,

@@ -230,7 +230,7 @@ fn partition(order: &mut [u32], is_left: impl Fn(&u32) -> bool) -> usize {
 mod tests {
     use super::*;
     use crate::sampling;
-    use luxel_scene::Silent;
+    use luxel_scene::{Silent, Unwanted};
 
     fn onion(layers: u32, growth: f32) -> Vec<Aabb> {
         (0..layers).map(|i| Vec3A::splat(4096.0 / libm::powf(growth, i as f32))).map(|r| Aabb::new(-r, r)).collect()
@@ -263,14 +263,6 @@ mod tests {
 
     #[test]
     fn a_conversion_is_the_same_wherever_it_runs_and_can_be_left() {
-        struct Unwanted;
-        impl Progress for Unwanted {
-            fn begin(&self, _: &'static str, _: u64) {}
-            fn advance(&self, _: u64) {}
-            fn is_cancelled(&self) -> bool {
-                true
-            }
-        }
         let tree = || tree(&onion(3000, 1.002), MAX_BINARY_DEPTH, &Silent).unwrap();
         let here = converted(tree(), usize::MAX, &Silent).unwrap();
         assert!(converted(tree(), 0, &Silent).unwrap() == here);

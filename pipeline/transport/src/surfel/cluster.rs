@@ -1,4 +1,5 @@
-//! Clusters: fragments of one voxel that share an orientation become one surfel.
+//! Clusters: fragments of one voxel that share an orientation become one surfel, whether they emit light or not: lamps
+//! that are switched off and on leave the surfels as they are.
 
 use glam::{DVec3, IVec3};
 
@@ -25,7 +26,6 @@ pub struct Cluster {
     opaque: f64,
     albedo: DVec3,
     emission: DVec3,
-    emits: bool,
     largest: f64,
     triangle: u32,
     u: f32,
@@ -34,7 +34,7 @@ pub struct Cluster {
 }
 
 impl Cluster {
-    fn new(f: &Fragment, back: bool, emits: bool) -> Self {
+    fn new(f: &Fragment, back: bool) -> Self {
         Self {
             normal: DVec3::ZERO,
             area: 0.0,
@@ -43,7 +43,6 @@ impl Cluster {
             opaque: 0.0,
             albedo: DVec3::ZERO,
             emission: DVec3::ZERO,
-            emits,
             largest: 0.0,
             triangle: f.triangle,
             u: f.u,
@@ -112,13 +111,12 @@ pub fn surfels(geometry: &Geometry, grid: &Grid, fragments: &[Fragment], mut out
 }
 
 fn put(clusters: &mut Vec<Cluster>, f: &Fragment, normal: DVec3, back: bool) {
-    let emits = f.emission.max_element() > 0.0;
     let cosine = |c: &Cluster| c.normal.dot(normal) / c.normal.length().max(f64::MIN_POSITIVE);
-    let matching = clusters.iter().position(|c| c.emits == emits && cosine(c) > COSINE);
+    let matching = clusters.iter().position(|c| cosine(c) > COSINE);
     let index = match matching {
         Some(i) => i,
         None if clusters.len() < MAX_PER_VOXEL => {
-            clusters.push(Cluster::new(f, back, emits));
+            clusters.push(Cluster::new(f, back));
             clusters.len() - 1
         }
         None => (1..clusters.len()).fold(0, |b, i| if cosine(&clusters[i]) > cosine(&clusters[b]) { i } else { b }),

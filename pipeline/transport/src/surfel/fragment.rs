@@ -1,7 +1,7 @@
 //! Fragments: the piece of one triangle in one voxel, with its material averaged over the piece.
 
 use glam::{DVec3, IVec3, Vec3};
-use luxel_scene::{Alpha, Material, Surface};
+use luxel_scene::{Alpha, Material, Surface, TextureRef};
 
 use super::{Grid, polygon::Polygon, record::holdable};
 use crate::{Rgb, geometry::Geometry};
@@ -65,12 +65,16 @@ impl<'a, 'g> Cutter<'a, 'g> {
         let t = &geometry.triangles[triangle as usize];
         let mesh = &geometry.scene.meshes[geometry.scene.instances[t.instance as usize].mesh];
         let material = geometry.material(triangle);
-        let look = if !is_textured(material) && mesh.colors.is_empty() {
-            Look::Constant(geometry.surface(triangle, 1.0 / 3.0, 1.0 / 3.0, 0.0))
-        } else {
+        let density = || {
             let area = 0.5 * (corners[1] - corners[0]).cross(corners[2] - corners[0]).length();
-            let density = if area > 0.0 { uv_area(geometry, triangle, material) / area } else { 0.0 };
-            if matches!(material.alpha, Alpha::Mask(_)) { Look::Holes(density) } else { Look::Smooth(density) }
+            if area > 0.0 { uv_area(geometry, triangle, material) / area } else { 0.0 }
+        };
+        // Where the surface is and what it reflects is averaged in the same way whether or not it shines.
+        let varies = reflected(material).into_iter().any(Option::is_some) || !mesh.colors.is_empty();
+        let look = match material.alpha {
+            Alpha::Mask(_) if varies => Look::Holes(density()),
+            _ if varies || material.emissive_texture.is_some() => Look::Smooth(density()),
+            _ => Look::Constant(geometry.surface(triangle, 1.0 / 3.0, 1.0 / 3.0, 0.0)),
         };
         Self { geometry, triangle, corners, look }
     }
@@ -152,14 +156,16 @@ impl<'a, 'g> Cutter<'a, 'g> {
     }
 }
 
-fn is_textured(m: &Material) -> bool {
-    let all = [&m.base_color_texture, &m.metallic_roughness_texture, &m.emissive_texture, &m.transmission_texture];
-    all.into_iter().any(Option::is_some)
+/// The textures that decide where a surface is and what it reflects.
+fn reflected(m: &Material) -> [&Option<TextureRef>; 3] {
+    [&m.base_color_texture, &m.metallic_roughness_texture, &m.transmission_texture]
 }
 
-/// Area of a triangle in the texture coordinates that its colour uses, 0 where it has none.
+/// Area of a triangle in the texture coordinates that its colour uses, those of its emission where nothing else has a
+/// texture; 0 where nothing has.
 fn uv_area(geometry: &Geometry, triangle: u32, material: &Material) -> f64 {
-    let Some(texture) = material.base_color_texture.as_ref().or(material.emissive_texture.as_ref()) else { return 0.0 };
+    let textures = reflected(material).into_iter().chain([&material.emissive_texture]);
+    let Some(texture) = textures.flatten().next() else { return 0.0 };
     let t = &geometry.triangles[triangle as usize];
     let mesh = &geometry.scene.meshes[geometry.scene.instances[t.instance as usize].mesh];
     let Some(uvs) = mesh.uvs.get(texture.tex_coord).filter(|uvs| !uvs.is_empty()) else { return 0.0 };

@@ -125,6 +125,53 @@ fn a_double_sided_sheet_has_two_faces() {
     assert!(surfels.emission.iter().all(|e| (e.radiance - glow).abs().max_element() < 1e-5));
 }
 
+/// A lamp lies in a wall and faces as it does, so that they share voxels and surfels.
+#[test]
+fn what_a_surface_emits_changes_no_surfel() {
+    let lamp_in_a_wall = |alpha: Alpha, rough: Option<TextureRef>, emission: Vec3, image: Option<TextureRef>| {
+        let mut scene = half_and_half(Alpha::Opaque);
+        let noise = (0..64u32).map(|i| [(i * 37 % 251) as u8, (i * 91 % 241) as u8, (i * 53 % 239) as u8, 255]);
+        scene.textures.push(Texture {
+            name: "noise".into(),
+            width: 8,
+            height: 8,
+            srgb: false,
+            texels: noise.collect(),
+        });
+        scene.materials.push(Material {
+            base_color: Vec4::new(0.3, 0.7, 0.1, 1.0),
+            metallic: 0.5,
+            roughness: 0.7,
+            metallic_roughness_texture: rough,
+            alpha,
+            emission,
+            emissive_texture: image,
+            ..Material::default()
+        });
+        let mut lamp = scene.meshes[0].clone();
+        lamp.material = scene.materials.len() - 1;
+        lamp.positions.iter_mut().for_each(|p| *p = Vec3::new(0.35, 0.35, 0.0) + *p * 0.3);
+        scene.meshes.push(lamp);
+        let mesh = scene.meshes.len() - 1;
+        let instance = luxel_scene::Instance { mesh, ..scene.instances[0].clone() };
+        scene.instances.push(instance);
+        let scene = transformed(scene, tilt());
+        let geometry = Geometry::new(&scene);
+        Surfels::new(&geometry, &side(19), &Silent).unwrap()
+    };
+    for alpha in [Alpha::Opaque, Alpha::Mask(0.5), Alpha::Blend] {
+        for rough in [None, Some(TextureRef::new(1))] {
+            let surfels = |emission, image| lamp_in_a_wall(alpha, rough.clone(), emission, image);
+            let dark = surfels(Vec3::ZERO, None);
+            assert!(dark.emission.is_empty());
+            for image in [None, Some(TextureRef::new(0)), Some(TextureRef::new(1))] {
+                let lit = surfels(Vec3::new(5.0, 3.0, 1.0), image);
+                assert!(lit.list == dark.list && !lit.emission.is_empty(), "{alpha:?} {rough:?}");
+            }
+        }
+    }
+}
+
 /// A textured quad of side 1: the left half of the texture has alpha 0 and green, the right half alpha 1 and red.
 fn half_and_half(alpha: Alpha) -> Scene {
     let mut b = Builder::new("half");
