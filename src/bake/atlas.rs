@@ -52,7 +52,7 @@ pub fn run(
         let (atlas, report) = packing.fill(&placement, progress)?;
         let atlas = Arc::new(atlas);
         if let Some(kept) = baking.kept.filter(|_| unwraps.values().all(Charts::is_reproducible)) {
-            kept.keep(&baking.keys.layout, &atlas, &report);
+            kept.keep_atlas(&baking.keys.layout, &atlas, &report);
         }
         count(&atlas, &report, stored.len(), counters);
         layouts = report::layouts(&report, new, is_stored);

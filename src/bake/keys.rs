@@ -140,6 +140,11 @@ impl Keys {
         Self { layout, clear, surfels, sky: sky_key, solids, groups, finish, parts }
     }
 
+    /// The digest of all that rays meet.
+    pub fn shape(&self) -> Key {
+        self.solids[0]
+    }
+
     /// The key of the scene's surfels with other settings.
     pub fn surfels(&self, settings: &Settings) -> Key {
         surfels_of(&self.solids, settings)

@@ -256,7 +256,7 @@ fn run(
         kept: Some(&request.kept),
         only_stored: mix.is_some(),
     };
-    let tracer = Tracer::new(&geometry);
+    let tracer = Tracer::new(&geometry, Some((&request.kept, keys.shape())));
     let (atlas, atlas_report) = match &request.worker {
         Some(path) => atlas::run(&baking, &scene, &worker(path), &mut journal)?,
         None => atlas::run(&baking, &scene, &InProcess, &mut journal)?,
@@ -318,7 +318,7 @@ pub fn bake_scene(scene: &Scene, settings: &Settings, progress: &dyn Progress) -
         };
         let mut journal = Journal::new(progress);
         let laid_out = atlas::run(&baking, &scene, &InProcess, &mut journal)?;
-        light(&baking, &Tracer::new(&geometry), laid_out, Keep::Texels, &mut journal)
+        light(&baking, &Tracer::new(&geometry, None), laid_out, Keep::Texels, &mut journal)
     })
 }
 

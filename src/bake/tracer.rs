@@ -4,19 +4,23 @@ use std::cell::OnceCell;
 
 use luxel_transport::{geometry::Geometry, rays::Rays};
 
-use super::journal::Journal;
+use super::Kept;
+use super::journal::{Counters, Journal};
 use crate::Error;
 use crate::plan::{Plan, Stage};
+use crate::store::Key;
 
 /// A scene's triangles, and the tree over them once it is needed.
 pub struct Tracer<'g> {
     pub geometry: &'g Geometry<'g>,
+    /// Where the tree may be kept from bake to bake, and the key of the scene's shape.
+    kept: Option<(&'g Kept, Key)>,
     rays: OnceCell<Rays<'g>>,
 }
 
 impl<'g> Tracer<'g> {
-    pub fn new(geometry: &'g Geometry<'g>) -> Self {
-        Self { geometry, rays: OnceCell::new() }
+    pub fn new(geometry: &'g Geometry<'g>, kept: Option<(&'g Kept, Key)>) -> Self {
+        Self { geometry, kept, rays: OnceCell::new() }
     }
 
     /// The rays. To be asked for by stages that the plan runs: each of them needs light, as this one does.
@@ -27,12 +31,19 @@ impl<'g> Tracer<'g> {
         if let Some(rays) = self.rays.get() {
             return Ok(rays);
         }
+        if let Some(tree) = self.kept.and_then(|(kept, shape)| kept.tree(&shape)) {
+            journal.reused(plan, Stage::Rays, Counters::default());
+            return Ok(self.rays.get_or_init(|| Rays::with(self.geometry, tree)));
+        }
         let group = journal.group.take();
         let rays = journal.always(Stage::Rays, plan.reason(Stage::Rays), Some(0), |progress, _| {
             Ok(Rays::build(self.geometry, progress)?)
         });
         journal.group = group;
         let rays = rays?;
+        if let Some((kept, shape)) = self.kept {
+            kept.keep_tree(&shape, rays.tree());
+        }
         Ok(self.rays.get_or_init(|| rays))
     }
 }

@@ -382,7 +382,7 @@ mod tests {
             only_stored: false,
         };
         let mut transport = Transport::default();
-        let tracer = Tracer::new(&geometry);
+        let tracer = Tracer::new(&geometry, None);
         let (surfels, solution, _) = transport.solution(&baking, &tracer, 0, &mut Journal::new(&Silent)).unwrap();
         let mut hasher = blake3::Hasher::new();
         Octree::new(&surfels, &solution).write(&mut hasher).unwrap();

@@ -39,7 +39,7 @@ fn rays(c: &mut Criterion) {
     for scene in [cuboid(), sphere()] {
         let geometry = Geometry::new(&scene);
         let rays = Rays::new(&geometry);
-        println!("{}: {} triangles, {} bytes", scene.name, geometry.triangles.len(), rays.bytes());
+        println!("{}: {} triangles, {} bytes", scene.name, geometry.triangles.len(), rays.tree().bytes());
         let mut group = c.benchmark_group("rays");
         group.throughput(Throughput::Elements(u64::from(RAYS)));
         group.bench_function(BenchmarkId::new("closest", &scene.name), |b| {

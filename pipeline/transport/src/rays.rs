@@ -16,6 +16,8 @@
 mod hierarchy;
 mod triangle;
 
+use std::sync::Arc;
+
 use glam::{Vec3, Vec3A};
 use luxel_scene::{Alpha, Cancelled, Material, Progress, Silent, watched};
 use obvhs::{
@@ -89,7 +91,7 @@ impl Kind {
 }
 
 /// Index of a triangle with its kind in the two upper bits.
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, Debug)]
 struct Id(u32);
 
 impl Id {
@@ -115,6 +117,12 @@ impl Id {
 /// A ray-tracing view of a [`Geometry`]: everything that casts and is not unlit.
 pub struct Rays<'a> {
     pub geometry: &'a Geometry<'a>,
+    tree: Arc<Tree>,
+}
+
+/// What rays need beside their geometry.
+#[derive(Debug)]
+pub struct Tree {
     bvh: CwBvh,
     /// In the order of the hierarchy's leaves, as are `ids`.
     corners: Vec<Corners>,
@@ -132,27 +140,17 @@ impl<'a> Rays<'a> {
 
     /// [`Rays::new`] that can be cancelled.
     pub fn build(geometry: &'a Geometry<'a>, progress: &dyn Progress) -> Result<Self, Cancelled> {
-        let mut boxes = Vec::new();
-        let mut ids = Vec::new();
-        for item in watched(geometry.triangles.iter().enumerate(), progress) {
-            let (i, t) = item?;
-            let material = geometry.material(i as u32);
-            if t.is_degenerate() || material.unlit || !geometry.scene.instances[t.instance as usize].casts {
-                continue;
-            }
-            let [a, b, c] = t.corners;
-            boxes.push(Aabb::new((a.min(b).min(c) - PAD).into(), (a.max(b).max(c) + PAD).into()));
-            ids.push(Id::new(i as u32, Kind::of(material)));
-        }
-        let all_solid = ids.iter().all(|id| id.kind() == Kind::Solid);
-        let mut bvh = hierarchy::build(&boxes, progress)?;
-        drop(boxes);
-        let order = std::mem::take(&mut bvh.primitive_indices);
-        bvh.nodes.shrink_to_fit();
-        let ids: Vec<Id> = order.iter().map(|&i| ids[i as usize]).collect();
-        let corners = |id: &Id| Corners::new(geometry.triangles[id.triangle() as usize].corners);
-        let corners = watched(&ids, progress).map(|id| Ok(corners(id?))).collect::<Result<_, Cancelled>>()?;
-        Ok(Self { geometry, bvh, corners, ids, all_solid })
+        Ok(Self::with(geometry, Arc::new(Tree::build(geometry, progress)?)))
+    }
+
+    /// The rays of a geometry whose tree is known: that of one with the same surfaces, all that the material says of
+    /// holes and veils included.
+    pub fn with(geometry: &'a Geometry<'a>, tree: Arc<Tree>) -> Self {
+        Self { geometry, tree }
+    }
+
+    pub fn tree(&self) -> &Arc<Tree> {
+        &self.tree
     }
 
     /// The nearest surface along `direction` (unit) within `[0, max)`, holes skipped, veils included.
@@ -179,7 +177,7 @@ impl<'a> Rays<'a> {
 
     /// [`Rays::first_hits`] that ends where no more than `faint` is left; with 0 it leaves nothing out.
     pub fn walk(&self, origin: Vec3, direction: Vec3, max: f32, faint: f32, mut f: impl FnMut(&Hit, Rgb)) -> Rgb {
-        if self.all_solid {
+        if self.tree.all_solid {
             return match self.closest(origin, direction, max) {
                 Some(hit) => {
                     f(&hit, Rgb::ONE);
@@ -228,7 +226,7 @@ impl<'a> Rays<'a> {
 
     /// The share of light that passes along `direction` (unit) within `[0, max)`: 1 where nothing is in the way.
     pub fn transmittance(&self, origin: Vec3, direction: Vec3, max: f32) -> Rgb {
-        if self.all_solid {
+        if self.tree.all_solid {
             let missed = self.traverse_any(origin, direction, max, |hit, _| hit.distance);
             return if missed { Rgb::ONE } else { Rgb::ZERO };
         }
@@ -266,27 +264,20 @@ impl<'a> Rays<'a> {
 
     /// Every surface is solid, so [`Rays::transmittance`] is 0 or 1.
     pub fn all_solid(&self) -> bool {
-        self.all_solid
-    }
-
-    /// Bytes that this view holds beyond its geometry.
-    pub fn bytes(&self) -> usize {
-        std::mem::size_of_val(&self.bvh.nodes[..])
-            + std::mem::size_of_val(&self.corners[..])
-            + std::mem::size_of_val(&self.ids[..])
+        self.tree.all_solid
     }
 
     /// Calls `accept` for every triangle hit in front of the nearest distance that it has returned so far.
     #[inline(always)]
     fn traverse(&self, origin: Vec3, direction: Vec3, max: f32, mut accept: impl FnMut(Hit, Kind) -> f32) {
-        if self.ids.is_empty() {
+        if self.tree.ids.is_empty() {
             return;
         }
         let shear = Shear::new(origin, direction);
         let ray = ray(origin, direction, max);
-        self.bvh.ray_traverse(ray, &mut RayHit::none(), |ray, at| {
+        self.tree.bvh.ray_traverse(ray, &mut RayHit::none(), |ray, at| {
             // Ties with the nearest so far are hits; the end of the ray itself does not belong to it.
-            let Some(crossing) = self.corners[at].intersect(&shear, ray.tmax) else { return f32::INFINITY };
+            let Some(crossing) = self.tree.corners[at].intersect(&shear, ray.tmax) else { return f32::INFINITY };
             if crossing.distance < max { self.meet(at, &crossing, &mut accept) } else { f32::INFINITY }
         });
     }
@@ -294,19 +285,19 @@ impl<'a> Rays<'a> {
     /// Calls `accept` for triangles hit until it returns a distance. True when it never did.
     #[inline(always)]
     fn traverse_any(&self, origin: Vec3, direction: Vec3, max: f32, mut accept: impl FnMut(Hit, Kind) -> f32) -> bool {
-        if self.ids.is_empty() {
+        if self.tree.ids.is_empty() {
             return true;
         }
         let shear = Shear::new(origin, direction);
-        self.bvh.ray_traverse_miss(ray(origin, direction, max), |_, at| {
-            let Some(crossing) = self.corners[at].intersect(&shear, max) else { return f32::INFINITY };
+        self.tree.bvh.ray_traverse_miss(ray(origin, direction, max), |_, at| {
+            let Some(crossing) = self.tree.corners[at].intersect(&shear, max) else { return f32::INFINITY };
             if crossing.distance < max { self.meet(at, &crossing, &mut accept) } else { f32::INFINITY }
         })
     }
 
     #[inline(always)]
     fn meet(&self, at: usize, crossing: &Crossing, accept: &mut impl FnMut(Hit, Kind) -> f32) -> f32 {
-        let id = self.ids[at];
+        let id = self.tree.ids[at];
         let kind = id.kind();
         // Opaque surfaces stop a ray at either neighbour of an edge; veils must not weaken it twice.
         if kind == Kind::Veil && !crossing.owned {
@@ -322,6 +313,39 @@ impl<'a> Rays<'a> {
 
     fn is_there(&self, hit: &Hit) -> bool {
         self.geometry.surface(hit.triangle, hit.u, hit.v, 0.0).coverage > 0.0
+    }
+}
+
+impl Tree {
+    fn build(geometry: &Geometry, progress: &dyn Progress) -> Result<Self, Cancelled> {
+        let mut boxes = Vec::new();
+        let mut ids = Vec::new();
+        for item in watched(geometry.triangles.iter().enumerate(), progress) {
+            let (i, t) = item?;
+            let material = geometry.material(i as u32);
+            if t.is_degenerate() || material.unlit || !geometry.scene.instances[t.instance as usize].casts {
+                continue;
+            }
+            let [a, b, c] = t.corners;
+            boxes.push(Aabb::new((a.min(b).min(c) - PAD).into(), (a.max(b).max(c) + PAD).into()));
+            ids.push(Id::new(i as u32, Kind::of(material)));
+        }
+        let all_solid = ids.iter().all(|id| id.kind() == Kind::Solid);
+        let mut bvh = hierarchy::build(&boxes, progress)?;
+        drop(boxes);
+        let order = std::mem::take(&mut bvh.primitive_indices);
+        bvh.nodes.shrink_to_fit();
+        let ids: Vec<Id> = order.iter().map(|&i| ids[i as usize]).collect();
+        let corners = |id: &Id| Corners::new(geometry.triangles[id.triangle() as usize].corners);
+        let corners = watched(&ids, progress).map(|id| Ok(corners(id?))).collect::<Result<_, Cancelled>>()?;
+        Ok(Self { bvh, corners, ids, all_solid })
+    }
+
+    /// Bytes that it holds.
+    pub fn bytes(&self) -> usize {
+        std::mem::size_of_val(&self.bvh.nodes[..])
+            + std::mem::size_of_val(&self.corners[..])
+            + std::mem::size_of_val(&self.ids[..])
     }
 }
 
