@@ -246,6 +246,77 @@ fn a_folder_that_goes_and_comes_back_is_watched_on() {
 }
 
 #[test]
+fn outputs_that_have_gone_are_baked_again() {
+    for poll in [None, Some(Duration::from_millis(50))] {
+        let mut bench = Bench::new(&["levels"], poll, |folder| furnish(folder, "levels/a"));
+        // All within one burst, so that nobody sees the scene away.
+        std::fs::remove_dir_all(bench.at("levels")).unwrap();
+        furnish(bench.folder.path(), "levels/a");
+        bench.baked("levels/a.gltf");
+        bench.settle("levels/a.gltf");
+        assert_eq!(bench.bakes(), 2, "{poll:?}");
+        bench.assert_current("levels/a.gltf");
+        std::fs::remove_dir_all(bench.at("levels/baked")).unwrap();
+        touch(&bench.at("levels/a.bin"));
+        bench.wait("lost", |e| matches!(e, Event::Lost { files, .. } if files.len() == 1));
+        bench.baked("levels/a.gltf");
+        bench.settle("levels/a.bin");
+        assert_eq!(bench.bakes(), 3, "{poll:?}");
+        bench.assert_current("levels/a.gltf");
+        bench.end();
+    }
+}
+
+#[cfg(unix)]
+#[test]
+fn a_scene_with_several_names_is_baked_once() {
+    let mut bench = Bench::new(&["d", "d/a.gltf", "./d/a.gltf", "link"], None, |folder| {
+        furnish(folder, "d/a");
+        std::os::unix::fs::symlink(folder.join("d"), folder.join("link")).unwrap();
+    });
+    assert_eq!(bench.attempts(), 1);
+    std::fs::write(bench.at("d/a.bin"), corners(1)).unwrap();
+    bench.baked("d/a.gltf");
+    bench.settle("d/a.gltf");
+    assert_eq!(bench.attempts(), 2);
+    bench.end();
+}
+
+#[cfg(unix)]
+#[test]
+fn two_scenes_do_not_write_into_one_folder_that_has_two_names() {
+    let mut bench = Bench::new(&["c", "d"], None, |folder| {
+        ["c/a", "d/a"].iter().for_each(|name| furnish(folder, name));
+        std::fs::create_dir(folder.join("c/baked")).unwrap();
+        std::os::unix::fs::symlink(folder.join("c/baked"), folder.join("d/baked")).unwrap();
+    });
+    assert_eq!(bench.attempts(), 1);
+    touch(&bench.at("d/a.gltf"));
+    bench.settle("d/a.gltf");
+    let (failed, folder) = bench.end();
+    assert_eq!(failed, [folder.path().join("d/a.gltf")]);
+}
+
+#[test]
+fn a_scene_whose_outputs_get_other_names_says_so() {
+    let mut bench = Bench::new(&["."], None, |folder| furnish(folder, "a"));
+    std::fs::copy(bench.at("a.gltf"), bench.at("a.glb")).unwrap();
+    let event = bench.wait("moved", |e| matches!(e, Event::Moved { .. } | Event::Changed { .. }));
+    assert!(matches!(&event, Event::Moved { glb, .. } if glb.ends_with("baked/a.gltf.glb")), "{event:?}");
+    bench.end();
+}
+
+#[test]
+fn a_folder_that_becomes_a_file_holds_no_scene() {
+    let mut bench = Bench::new(&["levels"], None, |folder| furnish(folder, "levels/a"));
+    std::fs::rename(bench.at("levels"), bench.at("away")).unwrap();
+    std::fs::write(bench.at("levels"), "a file").unwrap();
+    let event = bench.wait("removed", |e| !matches!(e, Event::Unchanged { .. }));
+    assert!(matches!(event, Event::Removed { .. }), "{event:?}");
+    assert!(bench.end().0.is_empty());
+}
+
+#[test]
 fn new_scenes_are_baked_and_deleted_ones_forgotten() {
     for poll in [None, Some(Duration::from_millis(50))] {
         // Nothing is there yet.

@@ -73,6 +73,8 @@ Events of --json, one object per line, with their fields:
   unwatched  path, reason            it cannot be watched or searched
   found      scene                   a new scene
   changed    scene, files            other content than before; no files where only settings changed
+  moved      scene, glb              other names for its outputs, for there is another scene of its name, or no more
+  lost       scene, files            outputs that were current have gone, so it is baked again
   unchanged  scene, files            touched, with the content of before
   removed    scene                   its outputs stay
   baking     scene                   then stages as of luxel bake --json: started, progress, finished

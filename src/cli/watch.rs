@@ -106,7 +106,12 @@ fn line(told: &Event) -> Option<String> {
         Event::Found { scene } => format!("{} is new", name(scene)),
         Event::Changed { scene, files } if files.is_empty() => format!("{}: other settings", name(scene)),
         Event::Changed { files, .. } => format!("changed: {}", names(files)),
-        Event::Removed { scene } => format!("{} has gone; its lightmap stays", name(scene)),
+        Event::Moved { scene, glb } => {
+            let why = "a scene of its name has come beside it, or has gone";
+            format!("{}: its outputs go to {} from now on, because {why}", name(scene), name(glb))
+        }
+        Event::Lost { scene, files } => format!("{}: outputs have gone: {}", name(scene), names(files)),
+        Event::Removed { scene } => format!("{} has gone; what was baked of it stays", name(scene)),
         Event::Baking { scene } => name(scene),
         Event::Drafted { done, .. } => format!("  draft written after {}", duration(done.seconds)),
         Event::Overtaken { scene } => format!("  stopped: {} has changed meanwhile", name(scene)),

@@ -165,6 +165,8 @@ impl Live {
             }
             // What follows from a change is told by the bake that it leads to.
             Event::Changed { .. }
+            | Event::Moved { .. }
+            | Event::Lost { .. }
             | Event::Unchanged { .. }
             | Event::Preview { .. }
             | Event::Watching { .. }

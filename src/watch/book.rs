@@ -34,6 +34,8 @@ pub struct Item {
     /// What its outputs were made from.
     baked: Option<Look>,
     outputs: Vec<PathBuf>,
+    /// The real name of the .glb that a bake of it writes: no other scene may write there.
+    target: Option<PathBuf>,
     failed: Option<Failure>,
     /// The higher, the later it has changed.
     changed: u64,
@@ -51,6 +53,16 @@ impl Item {
     /// It is to be baked as it is now.
     fn is_wanted(&self) -> bool {
         self.here && self.baked.as_ref() != Some(&self.look) && !self.is_broken()
+    }
+
+    /// Outputs that would be current and are not there any more, whoever took them away: the scene is to be baked again.
+    fn lose(&mut self) -> Vec<PathBuf> {
+        if !self.here || self.baked.as_ref() != Some(&self.look) {
+            return Vec::new();
+        }
+        let lost: Vec<PathBuf> = self.outputs.iter().filter(|file| !file.exists()).cloned().collect();
+        self.baked.take_if(|_| !lost.is_empty());
+        lost
     }
 
     /// It could not be baked as it is now.
@@ -158,16 +170,19 @@ impl Book {
             }
             whole |= !(known && path.is_file()) && (leads_to(path, &self.anchors) || self.may_be_new(path));
         }
+        let known: BTreeSet<PathBuf> = self.items.iter().filter(|(_, i)| i.here).map(|(s, _)| s.clone()).collect();
         if whole {
             self.survey(true, tell);
         }
         let scenes: Vec<PathBuf> =
             if whole { self.items.keys().cloned().collect() } else { touched.keys().cloned().collect() };
         for scene in scenes {
-            let differs = self.look(&scene, tell);
+            let is_news = self.look(&scene, tell);
             let files = touched.remove(&scene).unwrap_or_default();
-            if !differs
+            // Of one that has just been found it was said that it is there.
+            if !is_news
                 && !files.is_empty()
+                && known.contains(&scene)
                 && let Some(item) = self.items.get_mut(&scene).filter(|i| i.here)
             {
                 // What stood in its way may have gone: a full disk, a folder that was closed.
@@ -182,27 +197,29 @@ impl Book {
     pub fn survey(&mut self, news: bool, tell: &mut dyn FnMut(Event)) {
         let out = self.options.out.as_ref().and_then(|o| o.canonicalize().ok());
         (self.tree, self.roots) = Default::default();
-        let mut found: BTreeMap<PathBuf, Found> = BTreeMap::new();
+        let mut found = Findings::default();
         let mut closed = BTreeMap::new();
         for (path, is_folder) in &self.options.paths {
             self.roots.extend(Place::all(path));
             if !*is_folder {
                 if path.exists() {
-                    found.entry(path.clone()).or_insert(Found { scene: path.clone(), root: None });
+                    found.add(Found { scene: path.clone(), root: None });
                 }
                 continue;
             }
             let below = discover::below(path, out.as_deref());
             self.tree.extend(below.folders.iter().filter_map(|f| f.canonicalize().ok()));
             for scene in below.scenes {
-                found.entry(scene.clone()).or_insert(Found { scene, root: Some(path.clone()) });
+                found.add(Found { scene, root: Some(path.clone()) });
             }
-            // A named folder that is not there holds nothing; any other error says nothing of what is there.
-            for (folder, error) in below.closed.into_iter().filter(|(_, e)| e.kind() != ErrorKind::NotFound) {
+            // A named folder that is not there, or is a file now, holds nothing; any other error says nothing of what is
+            // there.
+            let is_gone = |e: &std::io::Error| matches!(e.kind(), ErrorKind::NotFound | ErrorKind::NotADirectory);
+            for (folder, error) in below.closed.into_iter().filter(|(_, e)| !is_gone(e)) {
                 // What was known of it stays.
                 let is_known = |i: &&Item| i.here && i.found.root.as_ref() == Some(path);
                 let known = self.items.values().filter(is_known).filter(|i| i.found.scene.starts_with(&folder));
-                found.extend(known.map(|i| (i.found.scene.clone(), i.found.clone())));
+                known.for_each(|i| found.add(i.found.clone()));
                 let reason = format!("it cannot be searched for scenes: {error}");
                 if self.closed.get(&folder) != Some(&reason) {
                     tell(Event::Unwatched { path: folder.clone(), reason: reason.clone() });
@@ -211,14 +228,14 @@ impl Book {
             }
         }
         self.closed = closed;
+        let mut found = found.scenes;
         self.leave_outputs_alone(&mut found);
         self.register(found, news, tell);
     }
 
     /// A bake writes its .glb before the report by which a search knows it: what a known scene writes is none.
     fn leave_outputs_alone(&self, found: &mut BTreeMap<PathBuf, Found>) {
-        let outputs: BTreeSet<PathBuf> =
-            self.items.values().filter_map(|i| Some(Place::of(&i.look.outputs.as_ref().ok()?.glb())?.key)).collect();
+        let outputs: BTreeSet<PathBuf> = self.items.values().filter_map(|i| i.target.clone()).collect();
         found.retain(|scene, f| f.root.is_none() || Place::of(scene).is_none_or(|p| !outputs.contains(&p.key)));
     }
 
@@ -235,13 +252,7 @@ impl Book {
             let known = self.items.get_mut(&scene);
             let is_new = known.as_ref().is_none_or(|i| !i.here);
             match known {
-                Some(item) => {
-                    // Who takes a scene away may take its outputs along.
-                    if is_new && !item.outputs.iter().all(|file| file.exists()) {
-                        item.baked = None;
-                    }
-                    (item.here, item.found) = (true, found);
-                }
+                Some(item) => (item.here, item.found) = (true, found),
                 None => drop(self.items.insert(scene.clone(), Item::new(found))),
             }
             if is_new {
@@ -257,22 +268,32 @@ impl Book {
         self.index();
     }
 
-    /// Looks at a scene anew; tells and returns whether it differs from before.
+    /// Looks at a scene anew; tells and returns whether it, or what lies at its outputs, differs from before.
     pub fn look(&mut self, scene: &Path, tell: &mut dyn FnMut(Event)) -> bool {
         let Some(look) = self.glance(scene) else { return false };
         let Some(item) = self.items.get_mut(scene) else { return false };
         item.find(&look, &self.options);
+        item.target = look.outputs.as_ref().ok().and_then(|o| Some(Place::of(&o.glb())?.key));
         let before = std::mem::replace(&mut item.look, look);
         let differs = before != item.look;
         if differs && item.here {
+            tell_change(scene, &before, &item.look, tell);
+        }
+        // Who takes a scene away, and brings it back as it was, may have taken its outputs along.
+        let lost = item.lose();
+        let is_news = differs || !lost.is_empty();
+        if is_news && item.here {
             self.changes += 1;
             item.changed = self.changes;
-            tell(Event::Changed { scene: scene.into(), files: before.differences(&item.look) });
-            if item.failed.take_if(|f| f.look != item.look).is_some() && item.baked.as_ref() == Some(&item.look) {
+            let is_mended = item.failed.take_if(|f| f.look != item.look).is_some();
+            if is_mended && item.baked.as_ref() == Some(&item.look) {
                 tell(Event::Current { scene: scene.into(), outputs: item.outputs.clone() });
             }
         }
-        differs
+        if !lost.is_empty() {
+            tell(Event::Lost { scene: scene.into(), files: lost });
+        }
+        is_news
     }
 
     /// A scene as it is now, of which nothing is kept.
@@ -300,7 +321,8 @@ impl Book {
             Ok(set) => set,
             Err(error) => return Some(Err(Fault::new(&error))),
         };
-        let same = |i: &&Item| i.here && i.look.outputs.as_ref().is_ok_and(|o| *o == set);
+        let target = Place::of(&set.glb()).map(|place| place.key);
+        let same = |i: &Item| i.here && i.target.is_some() && i.target == target;
         let other = self.items.iter().find(|(s, i)| s.as_path() < scene && same(i));
         Some(match other {
             Some((other, _)) => {
@@ -390,6 +412,7 @@ impl Item {
             read: BTreeSet::new(),
             baked: None,
             outputs: Vec::new(),
+            target: None,
             failed: None,
             changed: 0,
         }
@@ -405,6 +428,36 @@ impl Item {
                 self.folders.insert(place.folder);
             }
         }
+    }
+}
+
+/// What a search has found: no scene twice, by whatever names it is reached. The first one that was named counts.
+#[derive(Default)]
+struct Findings {
+    scenes: BTreeMap<PathBuf, Found>,
+    keys: BTreeSet<PathBuf>,
+}
+
+impl Findings {
+    fn add(&mut self, found: Found) {
+        let key = Place::of(&found.scene).map_or_else(|| found.scene.clone(), |place| place.key);
+        if self.keys.insert(key) {
+            self.scenes.insert(found.scene.clone(), found);
+        }
+    }
+}
+
+/// Tells what of a scene differs between two looks.
+fn tell_change(scene: &Path, before: &Look, now: &Look, tell: &mut dyn FnMut(Event)) {
+    let files = before.differences(now);
+    if !files.is_empty() || before.settings != now.settings {
+        tell(Event::Changed { scene: scene.into(), files });
+    }
+    // Where there is no place for its outputs, that is told as the fault which it is.
+    if let (Ok(old), Ok(new)) = (&before.outputs, &now.outputs)
+        && old != new
+    {
+        tell(Event::Moved { scene: scene.into(), glb: new.glb() });
     }
 }
 

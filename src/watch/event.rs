@@ -11,6 +11,8 @@
 //! | `unwatched` | `path`, `reason` | a folder cannot be watched or read; luxel goes on with what it sees |
 //! | `found` | `scene` | a scene has come |
 //! | `changed` | `scene`, `files` [text] | files of a scene have other content than before; empty where its settings have changed alone |
+//! | `moved` | `scene`, `glb` | its outputs have other names from now on, since a scene of its name has come beside it or has gone; those of the old names stay |
+//! | `lost` | `scene`, `files` [text] | outputs of a scene that was current are not there any more: it is baked again |
 //! | `unchanged` | `scene`, `files` [text] | files were touched, and hold what they held |
 //! | `removed` | `scene` | a scene has gone; its outputs stay |
 //! | `baking` | `scene` | a bake begins |
@@ -41,6 +43,8 @@ pub enum Event {
     Unwatched { path: PathBuf, reason: String },
     Found { scene: PathBuf },
     Changed { scene: PathBuf, files: Vec<PathBuf> },
+    Moved { scene: PathBuf, glb: PathBuf },
+    Lost { scene: PathBuf, files: Vec<PathBuf> },
     Unchanged { scene: PathBuf, files: Vec<PathBuf> },
     Removed { scene: PathBuf },
     Baking { scene: PathBuf },
@@ -93,6 +97,8 @@ impl Event {
             Self::Changed { scene, files } => {
                 json!({ "event": "changed", "scene": text(scene), "files": texts(files) })
             }
+            Self::Moved { scene, glb } => json!({ "event": "moved", "scene": text(scene), "glb": text(glb) }),
+            Self::Lost { scene, files } => json!({ "event": "lost", "scene": text(scene), "files": texts(files) }),
             Self::Unchanged { scene, files } => {
                 json!({ "event": "unchanged", "scene": text(scene), "files": texts(files) })
             }
@@ -176,6 +182,8 @@ mod tests {
             Event::Unwatched { path: scene.clone(), reason: "no".into() },
             Event::Found { scene: scene.clone() },
             Event::Changed { scene: scene.clone(), files: files.clone() },
+            Event::Moved { scene: scene.clone(), glb: scene.clone() },
+            Event::Lost { scene: scene.clone(), files: files.clone() },
             Event::Unchanged { scene: scene.clone(), files: files.clone() },
             Event::Removed { scene: scene.clone() },
             Event::Baking { scene: scene.clone() },
