@@ -58,7 +58,7 @@ pub enum Status {
     Baking,
     /// The files show the scene as it is.
     Current,
-    /// It cannot be baked as it is now; what is on show is its last good bake.
+    /// It cannot be baked as it is now; what is on show is the last that was baked of it, a draft perhaps.
     Failed {
         error: String,
         causes: Vec<String>,
@@ -157,10 +157,15 @@ impl Live {
             }
             // An overtaken bake need not be followed by another one.
             Event::Found { scene } | Event::Overtaken { scene } => self.tell(scene, Status::Waiting),
+            Event::Waiting { scene, outputs } => match outputs.last().map(|report| Outputs::read(report)) {
+                Some(Ok(outputs)) if outputs.is_whole() => self.shared.scenes.show(scene, outputs, Status::Waiting),
+                // What an earlier run left behind is shown where it can be.
+                _ => self.tell(scene, Status::Waiting),
+            },
             Event::Baking { scene } => self.tell(scene, Status::Baking),
             Event::Idle { .. } => self.shared.scenes.rest(),
             Event::Removed { scene } => self.tell(scene, Status::Removed),
-            Event::Failed { scene, fault } => {
+            Event::Failed { scene, fault, .. } => {
                 self.tell(scene, Status::Failed { error: fault.error.clone(), causes: fault.causes.clone() });
             }
             // What follows from a change is told by the bake that it leads to.

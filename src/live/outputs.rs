@@ -38,6 +38,7 @@ pub enum Kind {
 pub struct File {
     pub kind: Kind,
     path: PathBuf,
+    length: u64,
     /// BLAKE3 of its content, hexadecimal.
     pub hash: String,
 }
@@ -63,13 +64,19 @@ impl Outputs {
         let folder = path.parent().unwrap_or(Path::new(""));
         let listed = report.outputs.iter().filter_map(|output| {
             let kind = kind(stem, &output.path)?;
-            Some(File { kind, path: folder.join(&output.path), hash: output.blake3.clone() })
+            Some(File { kind, path: folder.join(&output.path), length: output.bytes, hash: output.blake3.clone() })
         });
         let mut files: Vec<File> = listed.collect();
         files.sort_by_key(|file| file.kind);
         let glb = files.iter().find(|file| file.kind == Kind::Glb);
         let digests = glb.and_then(|file| glb::digests(&small(&file.path, MAX_GLB).ok()?));
         Ok(Self { digests, facts: facts(&report), files })
+    }
+
+    /// A .glb and all else that the report lists is there, by its lengths.
+    pub fn is_whole(&self) -> bool {
+        let is_there = |f: &File| fs::metadata(&f.path).is_ok_and(|meta| meta.is_file() && meta.len() == f.length);
+        self.files.iter().any(|f| f.kind == Kind::Glb) && self.files.iter().all(is_there)
     }
 
     /// What a page learns about them; `scene` is the number under which they are asked for.
@@ -154,6 +161,7 @@ fn facts(report: &Report) -> Value {
     let figure = |name: &str| report.quality.get(name).copied();
     json!({
         "preset": if report.draft { Some("draft".into()) } else { setting("preset") },
+        "draft": report.draft,
         "metal_diffuse": setting("metal_diffuse"),
         "emissive_scale": setting("emissive_scale"),
         "only": setting("only"),

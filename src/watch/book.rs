@@ -7,15 +7,19 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use luxel_export::OutputSet;
 use luxel_scene::InputFile;
 
 use super::Options;
+use super::batch::Hints;
 use super::depend::{Digests, Look, read};
 use super::event::{Event, Fault};
 use super::place::{Place, leads_to};
 use crate::content::{Content, sky};
+use crate::current;
 use crate::discover::{self, Found, is_scene, is_searched};
 
 /// One scene.
@@ -65,6 +69,11 @@ impl Item {
         lost
     }
 
+    /// Whether its outputs, as they lie there, are a draft.
+    fn kept(&self) -> Option<bool> {
+        current::is_draft(self.look.outputs.as_ref().ok()?)
+    }
+
     /// It could not be baked as it is now.
     fn is_broken(&self) -> bool {
         self.here && self.failed.as_ref().is_some_and(|f| f.look == self.look)
@@ -88,11 +97,12 @@ pub struct Book {
 }
 
 impl Book {
-    pub fn new(options: Options) -> Self {
+    /// Nothing is looked at any more once the watch is `ending`.
+    pub fn new(options: Options, ending: Arc<AtomicBool>) -> Self {
         Self {
             options,
             items: BTreeMap::new(),
-            digests: Digests::default(),
+            digests: Digests::until(ending),
             tree: BTreeSet::new(),
             roots: Vec::new(),
             anchors: BTreeSet::new(),
@@ -113,6 +123,23 @@ impl Book {
     /// Scenes that cannot be baked as they are now.
     pub fn failed(&self) -> Vec<PathBuf> {
         self.items.iter().filter(|(_, i)| i.is_broken()).map(|(s, _)| s.clone()).collect()
+    }
+
+    /// Scenes whose outputs are drafts.
+    pub fn drafts(&self) -> Vec<PathBuf> {
+        let unbaked = self.items.iter().filter(|(_, i)| i.here && i.baked.is_none());
+        unbaked.filter(|(_, i)| i.kept() == Some(true)).map(|(s, _)| s.clone()).collect()
+    }
+
+    /// Whether a scene's outputs are a draft; none where it has no outputs.
+    pub fn kept(&self, scene: &Path) -> Option<bool> {
+        self.items.get(scene)?.kept()
+    }
+
+    /// All scenes, each with the report of an earlier bake where there is one.
+    pub fn reports(&self) -> Vec<(PathBuf, Option<PathBuf>)> {
+        let report = |i: &Item| i.look.outputs.as_ref().ok().map(OutputSet::report).filter(|report| report.is_file());
+        self.items.iter().filter(|(_, i)| i.here).map(|(s, i)| (s.clone(), report(i))).collect()
     }
 
     /// The scene to be baked next: the one that has changed last, since somebody waits for it.
@@ -152,10 +179,15 @@ impl Book {
     }
 
     /// Looks at whatever hinted paths concern: tells what has changed.
-    pub fn attend(&mut self, paths: &BTreeMap<PathBuf, bool>, everywhere: bool, tell: &mut dyn FnMut(Event)) {
+    pub fn attend(&mut self, hints: &Hints, tell: &mut dyn FnMut(Event)) {
         let mut touched: BTreeMap<PathBuf, BTreeSet<PathBuf>> = BTreeMap::new();
-        let mut whole = everywhere;
-        for path in paths.keys() {
+        let mut whole = hints.everywhere;
+        let again: Vec<(PathBuf, PathBuf)> = hints.again.iter().flat_map(|path| self.depending(path)).collect();
+        for (scene, file) in again {
+            self.digests.forget(&file);
+            touched.entry(scene).or_default();
+        }
+        for path in hints.paths.keys() {
             let depending = self.depending(path);
             // Of a scene that was away only a search finds out that it is back.
             let is_here = |scene: &PathBuf| self.items.get(scene).is_some_and(|i| i.here);
@@ -178,6 +210,9 @@ impl Book {
             if whole { self.items.keys().cloned().collect() } else { touched.keys().cloned().collect() };
         for scene in scenes {
             let is_news = self.look(&scene, tell);
+            if self.is_ending() {
+                return;
+            }
             let files = touched.remove(&scene).unwrap_or_default();
             // Of one that has just been found it was said that it is there.
             if !is_news
@@ -296,7 +331,12 @@ impl Book {
         is_news
     }
 
-    /// A scene as it is now, of which nothing is kept.
+    /// What is found from now on is not to be believed.
+    fn is_ending(&self) -> bool {
+        self.digests.ending.load(Ordering::Relaxed)
+    }
+
+    /// A scene as it is now, of which nothing is kept; none of one that is not known, or where the watch ends meanwhile.
     pub fn glance(&mut self, scene: &Path) -> Option<Look> {
         let outputs = self.place(scene)?;
         let item = self.items.get(scene)?;
@@ -304,13 +344,18 @@ impl Book {
         files.extend(item.read.iter().cloned());
         files.extend(settings.as_ref().ok().and_then(sky));
         let files = files.into_iter().map(|f| (self.digests.of(&f), f)).map(|(content, f)| (f, content)).collect();
-        Some(Look { files, settings, outputs })
+        (!self.is_ending()).then_some(Look { files, settings, outputs })
     }
 
     /// A scene as it is now, after something happened at these of its files.
     pub fn glance_after(&mut self, scene: &Path, files: &[PathBuf]) -> Option<Look> {
         files.iter().for_each(|file| self.digests.forget(file));
         self.glance(scene)
+    }
+
+    /// One of these files has surely another content than when it was looked at last.
+    pub fn are_others(&self, files: &[PathBuf]) -> bool {
+        files.iter().any(|file| self.digests.is_of_other_length(file))
     }
 
     /// Where a scene's outputs go, if there is such a place and no other scene has it.
@@ -472,7 +517,8 @@ mod tests {
         let flags = Layer::new(Origin::CommandLine);
         let choices = super::super::Choices { config: None, flags };
         let paths = vec![(folder.path().to_path_buf(), true)];
-        let mut book = Book::new(Options { paths, out: None, choices, worker: None, store: Default::default() });
+        let options = Options { paths, out: None, choices, worker: None, store: Default::default() };
+        let mut book = Book::new(options, Arc::default());
         let [a, b] = ["a.glb", "b.glb"].map(|name| folder.path().join(name));
         [&a, &b].iter().for_each(|path| std::fs::write(path, "x").unwrap());
         book.survey(false, &mut |_| {});

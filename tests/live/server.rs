@@ -241,9 +241,9 @@ fn what_a_watch_tells_is_shown() {
         (Event::Baking { scene: scene.clone() }, "baking", false),
         (Event::Drafted { scene: scene.clone(), done: done.clone() }, "baking", true),
         (Event::Baked { scene: scene.clone(), done }, "current", true),
-        (Event::Failed { scene: scene.clone(), fault }, "failed", true),
+        (Event::Failed { scene: scene.clone(), fault, draft: Some(false) }, "failed", true),
         (Event::Overtaken { scene: scene.clone() }, "waiting", true),
-        (Event::Idle { scenes: 1, failed: Vec::new() }, "current", true),
+        (Event::Idle { scenes: 1, failed: Vec::new(), draft: Vec::new() }, "current", true),
         (Event::Current { scene: scene.clone(), outputs }, "current", true),
         (Event::Removed { scene: scene.clone() }, "removed", true),
     ] {
@@ -258,7 +258,7 @@ fn what_a_watch_tells_is_shown() {
     assert!(error.to_string().contains("none.bake.json"), "{error}");
     let told = listener.told();
     assert!(told[0]["status"]["state"] == "current" && told[0]["outputs"].is_object(), "{told:?}");
-    live.follow(&Event::Idle { scenes: 1, failed: Vec::new() }).unwrap();
+    live.follow(&Event::Idle { scenes: 1, failed: Vec::new(), draft: Vec::new() }).unwrap();
     live.tell(&scene, Status::Waiting);
     assert_eq!(listener.told()[0]["status"]["state"], "waiting", "of the others nothing is told");
 }
