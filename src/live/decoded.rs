@@ -101,7 +101,12 @@ fn decode(file: &File) -> Result<Vec<u8>, Refusal> {
     };
     let exr = file.read(texels::MAX_BYTES).map_err(refusal)?;
     // Whether these are the right bytes takes as long to find out as a good part of decoding them.
-    let (is_right, texels) = rayon::join(|| file.is(&exr), || texels::decode(&exr));
+    let (is_right, texels) = std::thread::scope(|scope| {
+        // Not in the pool of bakes, one of which may be at work.
+        let other = std::thread::Builder::new().name("luxel preview".into()).spawn_scoped(scope, || file.is(&exr));
+        let texels = texels::decode(&exr);
+        (other.map_or_else(|_| file.is(&exr), |other| other.join().unwrap_or(false)), texels)
+    });
     if !is_right {
         return Err(Refusal::Overtaken);
     }
