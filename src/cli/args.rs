@@ -89,7 +89,7 @@ Events of --json, one object per line, with their fields:
   stopped    scenes, failed, draft   the last event
   usage      error, causes           the last event of a command line that could not be followed
 
-Ctrl-C ends it, after the running bake has stopped; a second one ends it at once.
+Ctrl-C ends it, after the running bake has stopped; a second one, half a second later, ends it at once.
 Exit codes: 0 ended, 1 ended with scenes that could not be baked, 2 wrong usage, 130 ended by a second Ctrl-C.";
 
 const MIXING: &str = "\

@@ -383,7 +383,9 @@ impl Book {
     /// What events may speak of.
     fn index(&mut self) {
         let items = self.items.values();
-        let keys = items.flat_map(|i| i.keys.keys()).chain(&self.tree).chain(self.roots.iter().map(|p| &p.key));
+        // Folders of outputs are not listened at, but who removes one is heard from above.
+        let own = items.flat_map(|i| i.keys.keys().chain(&i.target));
+        let keys = own.chain(&self.tree).chain(self.roots.iter().map(|p| &p.key));
         self.anchors = keys.cloned().collect();
         let named: BTreeSet<&Path> =
             self.items.values().flat_map(|i| i.look.files.keys()).map(PathBuf::as_path).collect();
