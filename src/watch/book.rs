@@ -17,68 +17,10 @@ use super::Options;
 use super::batch::Hints;
 use super::depend::{Digests, Look, read};
 use super::event::{Event, Fault};
+use super::item::{Failure, Item};
 use super::place::{Place, leads_to};
 use crate::content::{Content, sky};
-use crate::current;
 use crate::discover::{self, Found, is_scene, is_searched};
-
-/// One scene.
-pub struct Item {
-    found: Found,
-    /// It exists, and a search finds it.
-    here: bool,
-    /// As it was seen last.
-    pub look: Look,
-    /// The paths it depends on, by the names under which events speak of them.
-    keys: BTreeMap<PathBuf, PathBuf>,
-    /// Where those are, or would appear.
-    folders: BTreeSet<PathBuf>,
-    /// What its last good bake read.
-    read: BTreeSet<PathBuf>,
-    /// What its outputs were made from.
-    baked: Option<Look>,
-    outputs: Vec<PathBuf>,
-    /// The real name of the .glb that a bake of it writes: no other scene may write there.
-    target: Option<PathBuf>,
-    failed: Option<Failure>,
-    /// The higher, the later it has changed.
-    changed: u64,
-}
-
-/// What could not be baked, and why.
-struct Failure {
-    look: Look,
-    fault: Fault,
-    /// It follows from the look alone: the same look fails again.
-    is_lasting: bool,
-}
-
-impl Item {
-    /// It is to be baked as it is now.
-    fn is_wanted(&self) -> bool {
-        self.here && self.baked.as_ref() != Some(&self.look) && !self.is_broken()
-    }
-
-    /// Outputs that would be current and are not there any more, whoever took them away: the scene is to be baked again.
-    fn lose(&mut self) -> Vec<PathBuf> {
-        if !self.here || self.baked.as_ref() != Some(&self.look) {
-            return Vec::new();
-        }
-        let lost: Vec<PathBuf> = self.outputs.iter().filter(|file| !file.exists()).cloned().collect();
-        self.baked.take_if(|_| !lost.is_empty());
-        lost
-    }
-
-    /// Whether its outputs, as they lie there, are a draft.
-    fn kept(&self) -> Option<bool> {
-        current::is_draft(self.look.outputs.as_ref().ok()?)
-    }
-
-    /// It could not be baked as it is now.
-    fn is_broken(&self) -> bool {
-        self.here && self.failed.as_ref().is_some_and(|f| f.look == self.look)
-    }
-}
 
 /// All scenes.
 pub struct Book {
@@ -444,37 +386,6 @@ impl Book {
     /// Why a scene cannot be baked as it is now.
     pub fn fault(&self, scene: &Path) -> Option<&Fault> {
         self.items.get(scene).filter(|i| i.is_broken())?.failed.as_ref().map(|f| &f.fault)
-    }
-}
-
-impl Item {
-    fn new(found: Found) -> Self {
-        let nothing = Fault::default();
-        Self {
-            found,
-            here: true,
-            look: Look { files: BTreeMap::new(), settings: Err(nothing.clone()), outputs: Err(nothing) },
-            keys: BTreeMap::new(),
-            folders: BTreeSet::new(),
-            read: BTreeSet::new(),
-            baked: None,
-            outputs: Vec::new(),
-            target: None,
-            failed: None,
-            changed: 0,
-        }
-    }
-
-    /// Finds out under which names events will speak of what a look saw.
-    fn find(&mut self, look: &Look, options: &Options) {
-        (self.keys, self.folders) = Default::default();
-        let settings = options.choices.file(&self.found.scene);
-        for path in look.files.keys().chain([&settings]) {
-            for place in Place::all(path) {
-                self.keys.insert(place.key, path.clone());
-                self.folders.insert(place.folder);
-            }
-        }
     }
 }
 

@@ -5,7 +5,7 @@
 //! | `source` | tells that something may have changed: the operating system, or `poll`, which looks every so often |
 //! | `batch` | waits until a burst of changes is over |
 //! | `depend`, `digest` | what a bake follows from, by content: a `Look` |
-//! | `book` | the scenes; which are to be baked follows from their looks |
+//! | `book`, `item` | the scenes; which are to be baked follows from their looks |
 //! | `folders` | which folders are watched |
 //! | `place`, `stamp` | the real names of paths; what tells two files apart without reading them |
 //! | `run` | the loop: one bake at a time, stopped when it is overtaken |
@@ -21,6 +21,7 @@ mod depend;
 mod digest;
 pub mod event;
 mod folders;
+mod item;
 mod place;
 mod poll;
 mod run;
