@@ -31,9 +31,19 @@ impl Content {
 
     /// What the file of this metadata holds.
     pub fn read(path: &Path, meta: &Metadata) -> Self {
+        Self::read_by(path, meta, |path, _| {
+            let mut hasher = blake3::Hasher::new();
+            File::open(path).and_then(|file| hasher.update_reader(file).map(|h| *h.finalize().as_bytes()))
+        })
+    }
+
+    /// The same, by who finds the BLAKE3 of the file of so many bytes.
+    pub fn read_by(path: &Path, meta: &Metadata, digest: impl FnOnce(&Path, u64) -> std::io::Result<[u8; 32]>) -> Self {
         // A pipe would block for ever.
-        let readable = meta.is_file() && meta.len() <= Limits::default().file_bytes;
-        if readable { digest(path, meta.len()) } else { Self::Refused(meta.len()) }
+        if !meta.is_file() || meta.len() > Limits::default().file_bytes {
+            return Self::Refused(meta.len());
+        }
+        digest(path, meta.len()).map_or_else(|error| missing(&error, meta.len()), Self::Digest)
     }
 
     /// Its bytes can be read.
@@ -61,14 +71,6 @@ pub fn named(scene: &Path) -> BTreeSet<PathBuf> {
 /// The sky image that settings name.
 pub fn sky(settings: &Resolved) -> Option<PathBuf> {
     if let SkySetting::Image(path) = &settings.settings.sky { Some(path.clone()) } else { None }
-}
-
-fn digest(path: &Path, length: u64) -> Content {
-    let mut hasher = blake3::Hasher::new();
-    match File::open(path).and_then(|file| hasher.update_reader(file).map(|h| *h.finalize().as_bytes())) {
-        Ok(digest) => Content::Digest(digest),
-        Err(error) => missing(&error, length),
-    }
 }
 
 /// What to make of a file that cannot be read, of so many bytes.

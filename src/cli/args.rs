@@ -47,11 +47,11 @@ interrupted.";
 const WATCHING: &str = "\
 Bakes every scene whose outputs are not current, and again whenever a file changes that its last bake read: the .gltf or
 .glb, buffers, images, the sky, luxel.toml. A bake that is overtaken by a change stops and starts anew; a file that is
-saved without a change bakes nothing; a scene that cannot be baked says why and keeps its last lightmap. New scenes in
+saved without a change bakes nothing; a scene that cannot be baked says why and keeps what was baked last. New scenes in
 watched folders are baked too.
 
 Where light has to be gathered anew, a draft comes first: the same files with the same UVs, lit coarsely, without a
-picture. The bake replaces it. --check calls it stale, and its report says what it is.
+picture. The bake replaces it; until one ends well, the draft is what lies there. --check calls it stale, and its report says what it is.
 
 Examples:
   luxel watch level.glb --preset draft          lightmap anew after every save
@@ -69,23 +69,27 @@ of a luxel that was built after it was (npm ci && npm run build in assets/previe
 Events of --json, one object per line, with their fields:
   preview    url, notice             with --preview: its address, and what is missing, or null
   watching   paths, scenes           once, at the start
+  waiting    scene, outputs          after that, each scene; the report of its last bake, if there is one
   polling    folder, reason, seconds nobody tells of changes there, so it is looked at
   unwatched  path, reason            it cannot be watched or searched
   found      scene                   a new scene
   changed    scene, files            other content than before; no files where only settings changed
+  moved      scene, glb              other names for its outputs, for there is another scene of its name, or no more
+  lost       scene, files            outputs that were current have gone, so it is baked again
   unchanged  scene, files            touched, with the content of before
   removed    scene                   its outputs stay
   baking     scene                   then stages as of luxel bake --json: started, progress, finished
   drafted    scene, seconds, outputs, quality, warnings    a draft lies there until the bake ends
   overtaken  scene                   stopped, because its files changed; another bake follows unless they changed back
   baked      scene, seconds, outputs, quality, warnings
-  failed     scene, error, causes    its last good outputs stay
+  failed     scene, error, causes, draft   its outputs stay: a draft (true), a bake's (false), or there are none (null)
   current    scene, outputs          as when it was baked: at the start, or again after it was broken
   unshown    scene, error, causes    the preview cannot show its outputs
-  idle       scenes, failed          everything is as current as it can be
-  stopped    scenes, failed          the last event
+  idle       scenes, failed, draft   everything is as current as it can be; draft: whose outputs are drafts
+  stopped    scenes, failed, draft   the last event
+  usage      error, causes           the last event of a command line that could not be followed
 
-Ctrl-C ends it, after the running bake has stopped; a second one ends it at once.
+Ctrl-C ends it, after the running bake has stopped; a second one, half a second later, ends it at once.
 Exit codes: 0 ended, 1 ended with scenes that could not be baked, 2 wrong usage, 130 ended by a second Ctrl-C.";
 
 const MIXING: &str = "\

@@ -14,6 +14,7 @@ use std::path::{Component, Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
 
 use anyhow::Context;
 use clap::Parser;
@@ -118,14 +119,19 @@ fn config(common: &Common) -> anyhow::Result<Option<Layer>> {
     Ok(config)
 }
 
-/// Does this on the first Ctrl-C or request to end. The second one is meant seriously.
+/// Requests to end that come so soon after the first are the same one: a terminal and a supervisor may both send it.
+const SAME_REQUEST: Duration = Duration::from_millis(500);
+
+/// Does this on the first Ctrl-C or request to end. A second one is meant seriously.
 fn on_interrupt(mut work: impl FnMut() + Send + 'static) -> anyhow::Result<()> {
-    let mut is_second = false;
-    listen(move || {
-        if std::mem::replace(&mut is_second, true) {
-            std::process::exit(i32::from(INTERRUPTED));
+    let mut first: Option<Instant> = None;
+    listen(move || match first {
+        None => {
+            first = Some(Instant::now());
+            work();
         }
-        work();
+        Some(first) if first.elapsed() < SAME_REQUEST => {}
+        Some(_) => std::process::exit(i32::from(INTERRUPTED)),
     })
     .context("cannot listen for Ctrl-C")
 }

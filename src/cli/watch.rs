@@ -67,13 +67,22 @@ fn bake(style: Style, drafts: bool, task: &Task) -> Result<Finished, luxel::Erro
 fn tell(style: Style, told: Event) {
     match (style, told) {
         (Style::Json, told) => event(&told.to_json()),
-        (_, Event::Failed { scene, fault }) => {
+        (_, Event::Failed { scene, fault, draft }) => {
             print::failed(style, &scene, &error(fault));
             if style != Style::Quiet {
-                say(
-                    "  its last lightmap stays; it is tried again when a file of it changes, or is saved if the fault lay elsewhere",
-                );
+                let kept = match draft {
+                    Some(true) => "a draft of it stays",
+                    Some(false) => "its last lightmap stays",
+                    None => "it has no lightmap yet",
+                };
+                say(&format!(
+                    "  {kept}; it is tried again when a file of it changes, or is saved if the fault lay elsewhere"
+                ));
             }
+        }
+        // Without these nobody would find the page, or know why nothing happens.
+        (Style::Quiet, told @ (Event::Preview { .. } | Event::Unwatched { .. })) => {
+            line(&told).iter().for_each(|line| say(line));
         }
         (Style::Quiet, _) => {}
         (_, Event::Baked { scene, done }) => print::baked(style, &scene, done),
@@ -106,7 +115,12 @@ fn line(told: &Event) -> Option<String> {
         Event::Found { scene } => format!("{} is new", name(scene)),
         Event::Changed { scene, files } if files.is_empty() => format!("{}: other settings", name(scene)),
         Event::Changed { files, .. } => format!("changed: {}", names(files)),
-        Event::Removed { scene } => format!("{} has gone; its lightmap stays", name(scene)),
+        Event::Moved { scene, glb } => {
+            let why = "a scene of its name has come beside it, or has gone";
+            format!("{}: its outputs go to {} from now on, because {why}", name(scene), name(glb))
+        }
+        Event::Lost { scene, files } => format!("{}: outputs have gone: {}", name(scene), names(files)),
+        Event::Removed { scene } => format!("{} has gone; what was baked of it stays", name(scene)),
         Event::Baking { scene } => name(scene),
         Event::Drafted { done, .. } => format!("  draft written after {}", duration(done.seconds)),
         Event::Overtaken { scene } => format!("  stopped: {} has changed meanwhile", name(scene)),
@@ -115,11 +129,19 @@ fn line(told: &Event) -> Option<String> {
             let causes = fault.causes.iter().map(|cause| format!(": {cause}")).collect::<String>();
             format!("note: the preview does not show {}: {}{causes}", name(scene), fault.error)
         }
-        Event::Idle { failed, .. } if failed.is_empty() => "waiting for changes".into(),
-        Event::Idle { failed, .. } => format!("waiting for changes; not baked: {}", names(failed)),
-        Event::Stopped { .. } => "ended".into(),
-        Event::Unchanged { .. } | Event::Baked { .. } | Event::Failed { .. } => return None,
+        Event::Idle { failed, draft, .. } => format!("waiting for changes{}", left(failed, draft)),
+        Event::Stopped { failed, draft, .. } => format!("ended{}", left(failed, draft)),
+        Event::Waiting { .. } | Event::Unchanged { .. } | Event::Baked { .. } | Event::Failed { .. } => return None,
     })
+}
+
+/// What is not as it should be.
+fn left(failed: &[PathBuf], draft: &[PathBuf]) -> String {
+    let some = |what: &str, paths: &[PathBuf]| match paths {
+        [] => String::new(),
+        paths => format!("; {what}: {}", names(paths)),
+    };
+    some("not baked", failed) + &some("a draft lies there of", draft)
 }
 
 fn count(scenes: usize) -> String {
@@ -144,6 +166,13 @@ mod tests {
         let chain: Vec<String> = error(fault).chain().map(ToString::to_string).collect();
         assert_eq!(chain, ["a", "b", "c"]);
         assert_eq!(error(Fault { error: "a".into(), causes: Vec::new() }).chain().count(), 1);
+    }
+
+    #[test]
+    fn what_is_left_is_told() {
+        let a = [PathBuf::from("a")];
+        assert_eq!(left(&[], &[]), "");
+        assert_eq!(left(&a, &a), "; not baked: a; a draft lies there of: a");
     }
 
     #[test]

@@ -102,6 +102,11 @@ fn compare(scene: &Path, outputs: &OutputSet, settings: &Resolved, progress: &dy
     Ok(State::Stale(reasons))
 }
 
+/// Whether what lies at these outputs is a draft; none where no report says what does.
+pub fn is_draft(outputs: &OutputSet) -> Option<bool> {
+    read(&outputs.report()).ok().map(|report| report.draft)
+}
+
 /// A scene that no bake could open is no stale one, but one that fails.
 fn understand(scene: &Path) -> Result<(), Error> {
     let limits = Limits::default();

@@ -3,10 +3,12 @@
 //! Whatever comes is refused unless it is in order: a head is at most [`MAX_HEAD`] bytes long and here within
 //! [`HEAD_TIME`], has no body, and names as its host the address that is listened at. The last is what keeps pages of
 //! other origins out: their browser sends the name that they were loaded by, also where that name has meanwhile come to
-//! mean 127.0.0.1 (DNS rebinding).
+//! mean 127.0.0.1 (DNS rebinding). Browsers also say where a request comes from (Sec-Fetch-Site): pages of other origins
+//! are not answered.
 
 use std::io::{self, Read, Seek, Write};
 use std::net::{Shutdown, TcpStream};
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 /// Longest head of a request [bytes].
@@ -17,6 +19,11 @@ const MAX_HEADERS: usize = 64;
 pub const HEAD_TIME: Duration = Duration::from_secs(5);
 /// A client that takes nothing for so long is gone.
 pub const WRITE_TIME: Duration = Duration::from_secs(10);
+/// A whole answer is sent within this time, however often a little of it is taken: the largest one (512 MiB) is on its
+/// way through this machine for a few seconds.
+pub const ANSWER_TIME: Duration = Duration::from_secs(60);
+/// What is read of a file at once [bytes].
+const PIECE: usize = 256 << 10;
 /// What a refused client still sends is read so far [bytes], so that it gets to see the refusal.
 const DRAINED: u64 = 1 << 20;
 const DRAIN_TIME: Duration = Duration::from_millis(300);
@@ -38,6 +45,8 @@ pub enum Refusal {
     Malformed,
     Method,
     Host,
+    /// It comes from another site's page.
+    Origin,
     Body,
     TooLong,
     Late,
@@ -59,6 +68,7 @@ impl Refusal {
             Self::Host => {
                 ("403 Forbidden", "only requests to 127.0.0.1, localhost or [::1] with this port are answered")
             }
+            Self::Origin => ("403 Forbidden", "pages of other sites are not answered"),
             Self::Body => ("413 Content Too Large", "requests with a body are not answered"),
             Self::TooLong => ("431 Request Header Fields Too Large", "the head of the request is too long"),
             Self::Late => ("408 Request Timeout", "the request took too long"),
@@ -78,6 +88,8 @@ impl Refusal {
 pub enum Body {
     Static(&'static [u8]),
     Bytes(Vec<u8>),
+    /// What others may be sending too.
+    Shared(Arc<Vec<u8>>),
     /// A file from its beginning on, with its length.
     File(std::fs::File, u64),
 }
@@ -148,13 +160,13 @@ pub fn parse(head: &[u8], port: u16) -> Result<Option<Request>, Refusal> {
         Some("HEAD") => true,
         _ => return Err(Refusal::Method),
     };
-    let is = |h: &httparse::Header, name: &str| h.name.eq_ignore_ascii_case(name);
+    check_origin(parsed.headers)?;
     let has_body =
         |h: &httparse::Header| is(h, "transfer-encoding") || is(h, "content-length") && h.value.trim_ascii() != b"0";
     if parsed.headers.iter().any(has_body) {
         return Err(Refusal::Body);
     }
-    let target = parsed.path.filter(|target| target.starts_with('/')).ok_or(Refusal::Malformed)?;
+    let target = local(parsed.path.ok_or(Refusal::Malformed)?, port)?;
     let (path, query) = match target.split_once('?') {
         Some((path, query)) => (path, Some(query.to_owned())),
         None => (target, None),
@@ -162,28 +174,103 @@ pub fn parse(head: &[u8], port: u16) -> Result<Option<Request>, Refusal> {
     Ok(Some(Request { head_only, path: path.into(), query }))
 }
 
+fn is(header: &httparse::Header, name: &str) -> bool {
+    header.name.eq_ignore_ascii_case(name)
+}
+
+/// The path and query of a target (RFC 9112, §3.2): as they are, or behind `http://` and this address, which clients of
+/// proxies send. The Host line has to be right as well, which a client that follows the standard makes the same.
+fn local(target: &str, port: u16) -> Result<&str, Refusal> {
+    const SCHEME: &str = "http://";
+    if target.starts_with('/') {
+        return Ok(target);
+    }
+    let (scheme, rest) = target.split_at_checked(SCHEME.len()).ok_or(Refusal::Malformed)?;
+    if !scheme.eq_ignore_ascii_case(SCHEME) {
+        return Err(Refusal::Malformed);
+    }
+    let (authority, path) = rest.split_at(rest.find(['/', '?']).unwrap_or(rest.len()));
+    if !is_own(authority.as_bytes(), port) {
+        return Err(Refusal::Host);
+    }
+    // An empty path means the root.
+    match path {
+        "" => Ok("/"),
+        path if path.starts_with('/') => Ok(path),
+        _ => Err(Refusal::Malformed),
+    }
+}
+
+/// Browsers say whose page a request comes from; who says nothing is none of those that a page could lead astray.
+fn check_origin(headers: &[httparse::Header]) -> Result<(), Refusal> {
+    let mut said = headers.iter().filter(|h| is(h, "sec-fetch-site")).map(|h| h.value.trim_ascii());
+    let is_own = |site: &[u8]| [&b"same-origin"[..], b"none"].contains(&site);
+    if said.all(is_own) { Ok(()) } else { Err(Refusal::Origin) }
+}
+
 /// There is one Host line, and it names this address.
 fn check_host(headers: &[httparse::Header], port: u16) -> Result<(), Refusal> {
-    let mut hosts = headers.iter().filter(|h| h.name.eq_ignore_ascii_case("host"));
+    let mut hosts = headers.iter().filter(|h| is(h, "host"));
     let (Some(host), None) = (hosts.next(), hosts.next()) else { return Err(Refusal::Host) };
-    let host = host.value.trim_ascii();
+    if is_own(host.value.trim_ascii(), port) { Ok(()) } else { Err(Refusal::Host) }
+}
+
+/// A name of this address.
+fn is_own(host: &[u8], port: u16) -> bool {
     let named = |name: &str| {
         // Browsers leave 80 out.
         host.eq_ignore_ascii_case(format!("{name}:{port}").as_bytes())
             || port == 80 && host.eq_ignore_ascii_case(name.as_bytes())
     };
-    if ["127.0.0.1", "localhost", "[::1]"].into_iter().any(named) { Ok(()) } else { Err(Refusal::Host) }
+    ["127.0.0.1", "localhost", "[::1]"].into_iter().any(named)
 }
 
-/// Sends an answer.
-pub fn send(stream: &mut TcpStream, answer: Answer, head_only: bool) -> io::Result<()> {
+/// Writes until a time, and waits for a client that takes nothing for [`WRITE_TIME`] at most.
+pub struct Timely<'a> {
+    stream: &'a TcpStream,
+    until: Instant,
+}
+
+impl<'a> Timely<'a> {
+    /// All within `time` from now on.
+    pub fn new(stream: &'a TcpStream, time: Duration) -> Self {
+        Self { stream, until: Instant::now() + time }
+    }
+}
+
+impl Write for Timely<'_> {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        let left = self.until.saturating_duration_since(Instant::now()).min(WRITE_TIME);
+        if left.is_zero() {
+            return Err(io::ErrorKind::TimedOut.into());
+        }
+        self.stream.set_write_timeout(Some(left))?;
+        // A part of it, so that the time is looked at again however slowly it is taken.
+        (&mut &*self.stream).write(&bytes[..bytes.len().min(PIECE)])
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+/// Sends an answer within [`ANSWER_TIME`].
+pub fn send(stream: &TcpStream, answer: Answer, head_only: bool) -> io::Result<()> {
+    send_with(stream, answer, "", head_only)
+}
+
+/// [`send`], with further lines of its head.
+fn send_with(stream: &TcpStream, answer: Answer, lines: &str, head_only: bool) -> io::Result<()> {
+    let mut stream = Timely::new(stream, ANSWER_TIME);
     let length = match &answer.body {
         Body::Static(bytes) => bytes.len() as u64,
         Body::Bytes(bytes) => bytes.len() as u64,
+        Body::Shared(bytes) => bytes.len() as u64,
         Body::File(_, length) => *length,
     };
     let Answer { status, content_type, body } = answer;
-    let head = format!("HTTP/1.1 {status}\r\nContent-Type: {content_type}\r\nContent-Length: {length}\r\n{COMMON}\r\n");
+    let head =
+        format!("HTTP/1.1 {status}\r\nContent-Type: {content_type}\r\nContent-Length: {length}\r\n{lines}{COMMON}\r\n");
     stream.write_all(head.as_bytes())?;
     if head_only {
         return Ok(());
@@ -191,16 +278,18 @@ pub fn send(stream: &mut TcpStream, answer: Answer, head_only: bool) -> io::Resu
     match body {
         Body::Static(bytes) => stream.write_all(bytes),
         Body::Bytes(bytes) => stream.write_all(&bytes),
+        Body::Shared(bytes) => stream.write_all(&bytes),
         Body::File(mut file, length) => {
             file.rewind()?;
-            io::copy(&mut file.take(length), stream).map(drop)
+            io::copy(&mut io::BufReader::with_capacity(PIECE, file.take(length)), &mut stream).map(drop)
         }
     }
 }
 
 /// Sends the head of a stream of events, which ends with the connection.
-pub fn send_event_head(stream: &mut TcpStream) -> io::Result<()> {
-    stream.write_all(format!("HTTP/1.1 200 OK\r\nContent-Type: text/event-stream\r\n{COMMON}\r\n").as_bytes())
+pub fn send_event_head(stream: &TcpStream) -> io::Result<()> {
+    Timely::new(stream, ANSWER_TIME)
+        .write_all(format!("HTTP/1.1 200 OK\r\nContent-Type: text/event-stream\r\n{COMMON}\r\n").as_bytes())
 }
 
 /// Sends a refusal, and lets the client finish what it is saying so that it can hear it.
@@ -223,10 +312,11 @@ pub fn refuse(stream: &mut TcpStream, refusal: Refusal) -> io::Result<()> {
 }
 
 /// Sends a refusal and waits for nothing.
-pub fn send_refusal(stream: &mut TcpStream, refusal: Refusal, head_only: bool) -> io::Result<()> {
+pub fn send_refusal(stream: &TcpStream, refusal: Refusal, head_only: bool) -> io::Result<()> {
     let (status, words) = refusal.told();
     let body = Body::Bytes(format!("{words}\n").into_bytes());
-    send(stream, Answer { status, content_type: "text/plain; charset=utf-8", body }, head_only)
+    let lines = if refusal == Refusal::Method { "Allow: GET, HEAD\r\n" } else { "" };
+    send_with(stream, Answer { status, content_type: "text/plain; charset=utf-8", body }, lines, head_only)
 }
 
 #[cfg(test)]
@@ -284,6 +374,55 @@ mod tests {
     }
 
     #[test]
+    fn targets_with_an_address_lead_to_this_one_only() {
+        let request = |path: &str, query: Option<&str>| {
+            Ok(Some(Request { head_only: false, path: path.into(), query: query.map(str::to_owned) }))
+        };
+        assert_eq!(get("http://localhost:8080/a?v=1"), request("/a", Some("v=1")));
+        assert_eq!(get("HTTP://127.0.0.1:8080"), request("/", None));
+        for bad in ["http://evil.example:8080/", "http://localhost:8081/", "http://localhost/", "http:///"] {
+            assert_eq!(get(bad), Err(Refusal::Host), "{bad}");
+        }
+        let other = parsed("GET http://localhost:8080/ HTTP/1.1\nHost: evil.example\n\n");
+        assert_eq!(other, Err(Refusal::Host));
+    }
+
+    #[test]
+    fn pages_of_other_sites_are_refused() {
+        let from = |lines: &str| parsed(&format!("GET / HTTP/1.1\nHost: localhost:8080\n{lines}\n")).map(|_| ());
+        for good in ["", "Sec-Fetch-Site: none\n", "sec-fetch-site: same-origin\n"] {
+            assert_eq!(from(good), Ok(()), "{good}");
+        }
+        for bad in ["cross-site", "same-site", "", "none, cross-site", "none\nSec-Fetch-Site: cross-site"] {
+            assert_eq!(from(&format!("Sec-Fetch-Site: {bad}\n")), Err(Refusal::Origin), "{bad}");
+        }
+    }
+
+    #[test]
+    fn an_answer_ends_in_time_however_it_is_taken() {
+        let listener = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+        let mut client = TcpStream::connect(listener.local_addr().unwrap()).unwrap();
+        let (server, _) = listener.accept().unwrap();
+        let begin = Instant::now();
+        let is_over = std::sync::atomic::AtomicBool::new(false);
+        let error = std::thread::scope(|scope| {
+            // A little is taken all the time.
+            scope.spawn(|| {
+                let mut part = [0; 1024];
+                while !is_over.load(std::sync::atomic::Ordering::Relaxed) {
+                    client.read_exact(&mut part).unwrap();
+                    std::thread::sleep(Duration::from_millis(5));
+                }
+            });
+            let error = Timely::new(&server, Duration::from_millis(300)).write_all(&vec![0; 64 << 20]).unwrap_err();
+            is_over.store(true, std::sync::atomic::Ordering::Relaxed);
+            error
+        });
+        assert!(matches!(error.kind(), io::ErrorKind::TimedOut | io::ErrorKind::WouldBlock), "{error}");
+        assert!(begin.elapsed() < WRITE_TIME, "not by the other limit");
+    }
+
+    #[test]
     fn everything_else_than_get_without_body_is_refused() {
         let with = |method: &str, line: &str| parsed(&format!("{method} / HTTP/1.1\nHost: localhost:8080\n{line}\n"));
         for method in ["POST", "PUT", "DELETE", "OPTIONS", "CONNECT", "TRACE", "get"] {
@@ -293,7 +432,7 @@ mod tests {
             assert_eq!(with("GET", line), Err(Refusal::Body), "{line}");
         }
         assert_eq!(with("GET", &"X: y\n".repeat(70)), Err(Refusal::TooLong));
-        for target in ["http://localhost:8080/", "*", "..", "C:/"] {
+        for target in ["*", "..", "C:/", "https://localhost:8080/", "http:/", "http://localhost:8080?v=1"] {
             assert_eq!(get(target), Err(Refusal::Malformed), "{target}");
         }
         assert_eq!(parsed("\u{1}\u{2}\u{3} nonsense\n\n"), Err(Refusal::Malformed));

@@ -15,11 +15,15 @@
 //! | `name`, `path` | of the scene file |
 //! | `revision` | number of the change; higher is later |
 //! | `status` | `state`: `waiting`, `baking`, `current`, `failed` (with `error` and `causes`), `removed` |
-//! | `outputs` | null, or `glb` and `picture` (addresses), `lightmaps` \[{`page`, `texels`, `file`}\], `layout` and `content` (digests of the .glb, [`glb`]) and `facts` from the report |
+//! | `outputs` | null, or `glb` and `picture` (addresses), `lightmaps` \[{`page`, `texels`, `file`}\], `layout` and `content` (digests of the .glb, [`glb`]), `pending` (whether those are still to come) and `facts` from the report |
 //!
 //! An event `told` follows when everything that is known has been told.
+//!
+//! Whoever bakes waits for nothing here but the reading of a report. That there is a new lightmap is told first; the .glb
+//! is looked into, and the lightmap decoded ([`decoded`]), on threads of their own meanwhile.
 
 mod bundle;
+mod decoded;
 mod glb;
 mod http;
 mod outputs;
@@ -27,17 +31,20 @@ mod scenes;
 mod server;
 mod texels;
 
+use std::collections::BTreeMap;
 use std::io;
 use std::net::{Ipv4Addr, SocketAddr, TcpListener, TcpStream};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::sync::mpsc::{self, RecvTimeoutError, Sender};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
 use serde_json::{Value, json};
 
 pub use bundle::{Bundle, NOT_BUILT};
-use outputs::Outputs;
+use outputs::{Kind, Outputs};
+use scenes::Shown;
 use server::Shared;
 
 use crate::watch::event::Event;
@@ -58,12 +65,12 @@ pub enum Status {
     Baking,
     /// The files show the scene as it is.
     Current,
-    /// It cannot be baked as it is now; what is on show is its last good bake.
+    /// It cannot be baked as it is now; what is on show is the last that was baked of it, a draft perhaps.
     Failed {
         error: String,
         causes: Vec<String>,
     },
-    /// The scene file has gone.
+    /// The scene file has gone: nothing of it is served any more.
     Removed,
 }
 
@@ -96,7 +103,12 @@ pub struct Live {
     address: SocketAddr,
     shared: Arc<Shared>,
     accepting: Option<JoinHandle<()>>,
+    digesting: Sender<Shown>,
+    decoding: Sender<Shown>,
 }
+
+/// Decoded lightmaps that nobody has asked for during this time are not kept.
+const KEEP: Duration = Duration::from_secs(20);
 
 impl Live {
     /// Listens at 127.0.0.1.
@@ -113,7 +125,26 @@ impl Live {
         let accept = move || server::accept(&listener, &own);
         let accepting = std::thread::Builder::new().name("luxel preview".into()).spawn(accept);
         let accepting = Some(accepting.map_err(|source| LiveError::Start { source })?);
-        Ok(Self { address, shared, accepting })
+        let digesting = later(&shared, |shared, shown| {
+            if shown.outputs.digests.is_none() {
+                shared.scenes.digested(shown, shown.outputs.digest());
+            }
+        });
+        let decoding = later(&shared, |shared, shown| {
+            let lightmaps = shown.outputs.files.iter().filter(|f| matches!(f.kind, Kind::Lightmap(_)));
+            for file in lightmaps.take_while(|_| shared.scenes.is_shown(shown)) {
+                // What stands in the way is told to who asks for it.
+                drop(shared.decoded.of(file));
+            }
+        });
+        let failed = |source| LiveError::Start { source };
+        Ok(Self {
+            address,
+            shared,
+            accepting,
+            digesting: digesting.map_err(failed)?,
+            decoding: decoding.map_err(failed)?,
+        })
     }
 
     /// Where it listens.
@@ -137,8 +168,18 @@ impl Live {
     /// # Errors
     /// The report cannot be read: pages go on showing what they show.
     pub fn changed(&self, scene: &Path, report: &Path) -> Result<(), LiveError> {
-        self.shared.scenes.show(scene, Outputs::read(report)?, Status::Current);
+        self.show(scene, Outputs::read(report)?, Status::Current);
         Ok(())
+    }
+
+    /// Tells that these outputs are there, and makes ready what pages will ask for.
+    fn show(&self, scene: &Path, outputs: Outputs, status: Status) {
+        let shown = self.shared.scenes.show(scene, outputs, status);
+        // Both threads stay as long as this server does.
+        if shown.is_asked_for && self.shared.is_heard() {
+            drop(self.decoding.send(shown.clone()));
+        }
+        drop(self.digesting.send(shown));
     }
 
     /// Shows what a watch tells of a scene; of other events nothing is to be seen.
@@ -152,19 +193,26 @@ impl Live {
             Event::Drafted { scene, done } => {
                 // The bake goes on.
                 if let Some(report) = done.outputs.last() {
-                    self.shared.scenes.show(scene, Outputs::read(report)?, Status::Baking);
+                    self.show(scene, Outputs::read(report)?, Status::Baking);
                 }
             }
             // An overtaken bake need not be followed by another one.
             Event::Found { scene } | Event::Overtaken { scene } => self.tell(scene, Status::Waiting),
+            Event::Waiting { scene, outputs } => match outputs.last().map(|report| Outputs::read(report)) {
+                Some(Ok(outputs)) if outputs.is_whole() => self.show(scene, outputs, Status::Waiting),
+                // What an earlier run left behind is shown where it can be.
+                _ => self.tell(scene, Status::Waiting),
+            },
             Event::Baking { scene } => self.tell(scene, Status::Baking),
             Event::Idle { .. } => self.shared.scenes.rest(),
             Event::Removed { scene } => self.tell(scene, Status::Removed),
-            Event::Failed { scene, fault } => {
+            Event::Failed { scene, fault, .. } => {
                 self.tell(scene, Status::Failed { error: fault.error.clone(), causes: fault.causes.clone() });
             }
             // What follows from a change is told by the bake that it leads to.
             Event::Changed { .. }
+            | Event::Moved { .. }
+            | Event::Lost { .. }
             | Event::Unchanged { .. }
             | Event::Preview { .. }
             | Event::Watching { .. }
@@ -189,6 +237,27 @@ impl Live {
     pub fn tell(&self, scene: &Path, status: Status) {
         self.shared.scenes.tell(scene, status);
     }
+}
+
+/// Does `work` with outputs that are sent, on a thread of its own, until nobody can send any more. Of a scene whose
+/// outputs follow upon each other only the last ones count.
+fn later(shared: &Arc<Shared>, work: fn(&Shared, &Shown)) -> io::Result<Sender<Shown>> {
+    let (sender, receiver) = mpsc::channel::<Shown>();
+    let shared = Arc::clone(shared);
+    let go = move || {
+        loop {
+            let mut sent = BTreeMap::new();
+            match receiver.recv_timeout(KEEP) {
+                Ok(shown) => drop(sent.insert(shown.scene, shown)),
+                Err(RecvTimeoutError::Timeout) => shared.decoded.forget(),
+                Err(RecvTimeoutError::Disconnected) => return,
+            }
+            sent.extend(receiver.try_iter().map(|shown| (shown.scene, shown)));
+            sent.values().for_each(|shown| work(&shared, shown));
+        }
+    };
+    std::thread::Builder::new().name("luxel preview".into()).spawn(go)?;
+    Ok(sender)
 }
 
 impl Drop for Live {

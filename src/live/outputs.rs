@@ -38,6 +38,7 @@ pub enum Kind {
 pub struct File {
     pub kind: Kind,
     path: PathBuf,
+    length: u64,
     /// BLAKE3 of its content, hexadecimal.
     pub hash: String,
 }
@@ -46,14 +47,14 @@ pub struct File {
 #[derive(Clone, Debug, PartialEq)]
 pub struct Outputs {
     pub files: Vec<File>,
-    /// Empty where the .glb cannot be looked into.
-    digests: Option<Digests>,
+    /// None until the .glb was looked into; the inner one is none where it cannot be.
+    pub digests: Option<Option<Digests>>,
     /// Settings and figures that a page needs to show light in its units.
     facts: Value,
 }
 
 impl Outputs {
-    /// Reads a report and looks at the files that it lists.
+    /// Reads a report. What it lists may be large, and is not looked at yet.
     pub fn read(path: &Path) -> Result<Self, LiveError> {
         let failed = |source| LiveError::Report { path: path.into(), source };
         let bytes = small(path, MAX_REPORT).map_err(failed)?;
@@ -63,13 +64,28 @@ impl Outputs {
         let folder = path.parent().unwrap_or(Path::new(""));
         let listed = report.outputs.iter().filter_map(|output| {
             let kind = kind(stem, &output.path)?;
-            Some(File { kind, path: folder.join(&output.path), hash: output.blake3.clone() })
+            Some(File { kind, path: folder.join(&output.path), length: output.bytes, hash: output.blake3.clone() })
         });
         let mut files: Vec<File> = listed.collect();
         files.sort_by_key(|file| file.kind);
-        let glb = files.iter().find(|file| file.kind == Kind::Glb);
-        let digests = glb.and_then(|file| glb::digests(&small(&file.path, MAX_GLB).ok()?));
-        Ok(Self { digests, facts: facts(&report), files })
+        Ok(Self { digests: None, facts: facts(&report), files })
+    }
+
+    /// Looks into the .glb: as slow as it is large.
+    pub fn digest(&self) -> Option<Digests> {
+        let glb = self.files.iter().find(|file| file.kind == Kind::Glb)?;
+        glb::digests(&small(&glb.path, MAX_GLB).ok()?)
+    }
+
+    /// These outputs, once their .glb was looked into.
+    pub fn digested(&self, digests: Option<Digests>) -> Self {
+        Self { digests: Some(digests), ..self.clone() }
+    }
+
+    /// A .glb and all else that the report lists is there, by its lengths.
+    pub fn is_whole(&self) -> bool {
+        let is_there = |f: &File| fs::metadata(&f.path).is_ok_and(|meta| meta.is_file() && meta.len() == f.length);
+        self.files.iter().any(|f| f.kind == Kind::Glb) && self.files.iter().all(is_there)
     }
 
     /// What a page learns about them; `scene` is the number under which they are asked for.
@@ -91,8 +107,9 @@ impl Outputs {
             "glb": of(Kind::Glb),
             "picture": of(Kind::Picture),
             "lightmaps": lightmaps,
-            "layout": self.digests.as_ref().map(|d| &d.layout),
-            "content": self.digests.as_ref().map(|d| &d.content),
+            "pending": self.digests.is_none(),
+            "layout": self.digests.as_ref().and_then(|d| Some(&d.as_ref()?.layout)),
+            "content": self.digests.as_ref().and_then(|d| Some(&d.as_ref()?.content)),
             "facts": self.facts,
         })
     }
@@ -113,10 +130,14 @@ impl File {
         Ok((hasher.finalize().to_hex().as_str() == self.hash).then_some((file, length)))
     }
 
-    /// Its whole content, of so many bytes at most; none while it is not what the report says.
-    pub fn read(&self, most: u64) -> io::Result<Option<Vec<u8>>> {
-        let bytes = small(&self.path, most)?;
-        Ok((blake3::hash(&bytes).to_hex().as_str() == self.hash).then_some(bytes))
+    /// Its whole content, of so many bytes at most, which need not be what the report says.
+    pub fn read(&self, most: u64) -> io::Result<Vec<u8>> {
+        small(&self.path, most)
+    }
+
+    /// These bytes are what the report says.
+    pub fn is(&self, bytes: &[u8]) -> bool {
+        blake3::hash(bytes).to_hex().as_str() == self.hash
     }
 
     pub fn content_type(&self) -> &'static str {
@@ -154,6 +175,7 @@ fn facts(report: &Report) -> Value {
     let figure = |name: &str| report.quality.get(name).copied();
     json!({
         "preset": if report.draft { Some("draft".into()) } else { setting("preset") },
+        "draft": report.draft,
         "metal_diffuse": setting("metal_diffuse"),
         "emissive_scale": setting("emissive_scale"),
         "only": setting("only"),
@@ -225,10 +247,10 @@ mod tests {
         assert!(file.open().is_err(), "it is not there yet");
         std::fs::write(at("a.preview.png"), b"png").unwrap();
         assert_eq!(file.open().unwrap().unwrap().1, 3);
-        assert_eq!(file.read(3).unwrap().unwrap(), b"png");
+        assert!(file.read(3).unwrap() == b"png" && file.is(b"png"));
         assert_eq!(file.read(2).unwrap_err().kind(), io::ErrorKind::FileTooLarge);
         std::fs::write(at("a.preview.png"), b"other").unwrap();
-        assert!(file.open().unwrap().is_none() && file.read(99).unwrap().is_none());
+        assert!(file.open().unwrap().is_none() && !file.is(&file.read(99).unwrap()));
         for bad in ["", "[]", "{\"schema\":1}"] {
             std::fs::write(at("a.bake.json"), bad).unwrap();
             assert!(matches!(Outputs::read(&at("a.bake.json")), Err(LiveError::Report { .. })));

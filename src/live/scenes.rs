@@ -10,6 +10,7 @@ use std::time::Duration;
 use serde_json::{Value, json};
 
 use super::Status;
+use super::glb::Digests;
 use super::outputs::Outputs;
 
 /// All scenes, shared by everybody.
@@ -34,6 +35,17 @@ struct Scene {
     revision: u64,
     status: Status,
     outputs: Option<Arc<Outputs>>,
+    /// Somebody has asked for its files.
+    is_asked_for: bool,
+}
+
+/// Outputs that are on show from now on.
+#[derive(Clone, Debug)]
+pub struct Shown {
+    pub scene: usize,
+    pub outputs: Arc<Outputs>,
+    /// Somebody has looked at this scene before.
+    pub is_asked_for: bool,
 }
 
 /// What a listener is woken for.
@@ -48,15 +60,37 @@ pub enum News {
 
 impl Scenes {
     /// Files of a scene are in place: all of a bake's, or a draft's while it goes on.
-    pub fn show(&self, path: &Path, outputs: Outputs, status: Status) {
-        self.edit(path, |scene| {
-            scene.outputs = Some(Arc::new(outputs));
+    pub fn show(&self, path: &Path, mut outputs: Outputs, status: Status) -> Shown {
+        self.edit(path, |number, scene| {
+            // The same files are looked into once.
+            outputs.digests =
+                scene.outputs.take().filter(|old| old.files == outputs.files).and_then(|old| old.digests.clone());
+            let outputs = Arc::new(outputs);
+            scene.outputs = Some(outputs.clone());
             scene.status = status;
-        });
+            Shown { scene: number, outputs, is_asked_for: scene.is_asked_for }
+        })
     }
 
+    /// The .glb of these outputs was looked into. Nothing happens if others are on show by now.
+    pub fn digested(&self, shown: &Shown, digests: Option<Digests>) {
+        let mut state = self.lock();
+        let revision = state.revision + 1;
+        let Some(scene) = state.scenes.get_mut(shown.scene) else { return };
+        if scene.outputs.as_ref().is_some_and(|now| Arc::ptr_eq(now, &shown.outputs)) {
+            scene.outputs = Some(Arc::new(shown.outputs.digested(digests)));
+            (scene.revision, state.revision) = (revision, revision);
+            drop(state);
+            self.news.notify_all();
+        }
+    }
+
+    /// Of a scene that has gone nothing is served any more.
     pub fn tell(&self, path: &Path, status: Status) {
-        self.edit(path, |scene| scene.status = status);
+        self.edit(path, |_, scene| {
+            scene.outputs.take_if(|_| status == Status::Removed);
+            scene.status = status;
+        });
     }
 
     /// Nothing is left to be done: what waits for a bake that does not come, or whose bake was stopped by a change that
@@ -86,9 +120,19 @@ impl Scenes {
         self.lock().closing
     }
 
-    /// The outputs of the scene with this number.
+    /// The outputs of the scene with this number, for who has asked for them.
     pub fn outputs(&self, scene: usize) -> Option<Arc<Outputs>> {
-        self.lock().scenes.get(scene)?.outputs.clone()
+        let mut state = self.lock();
+        let scene = state.scenes.get_mut(scene)?;
+        scene.is_asked_for = true;
+        scene.outputs.clone()
+    }
+
+    /// These outputs are on show.
+    pub fn is_shown(&self, shown: &Shown) -> bool {
+        let state = self.lock();
+        let now = state.scenes.get(shown.scene).and_then(|scene| scene.outputs.as_ref());
+        now.is_some_and(|now| now.files == shown.outputs.files)
     }
 
     /// Waits until something is newer than `told`; `None` has heard of nothing yet and is told at once how things are.
@@ -103,24 +147,31 @@ impl Scenes {
             return News::Silence;
         }
         let numbered = state.scenes.iter().enumerate();
-        let changed = numbered.filter(|(_, scene)| told.is_none_or(|told| scene.revision > told));
+        // Who has heard of nothing need not hear of what has gone.
+        let is_news = |scene: &Scene| match told {
+            Some(told) => scene.revision > told,
+            None => scene.status != Status::Removed,
+        };
+        let changed = numbered.filter(|(_, scene)| is_news(scene));
         News::Changes(changed.map(|(number, scene)| scene.to_json(number)).collect(), state.revision)
     }
 
-    fn edit(&self, path: &Path, change: impl FnOnce(&mut Scene)) {
+    fn edit<T>(&self, path: &Path, change: impl FnOnce(usize, &mut Scene) -> T) -> T {
         let mut state = self.lock();
         state.revision += 1;
         let revision = state.revision;
         let place = state.scenes.iter().position(|scene| scene.path == path).unwrap_or_else(|| {
-            state.scenes.push(Scene { path: path.into(), revision, status: Status::Waiting, outputs: None });
+            let (path, status) = (path.into(), Status::Waiting);
+            state.scenes.push(Scene { path, revision, status, outputs: None, is_asked_for: false });
             state.scenes.len() - 1
         });
-        if let Some(scene) = state.scenes.get_mut(place) {
-            change(scene);
-            scene.revision = revision;
-        }
+        // It was just found or added.
+        let scene = &mut state.scenes[place];
+        let result = change(place, scene);
+        scene.revision = revision;
         drop(state);
         self.news.notify_all();
+        result
     }
 
     /// Every edit is whole before anything can panic, so a poisoned lock guards nothing broken.
@@ -165,6 +216,20 @@ mod tests {
         let News::Changes(changes, _) = scenes.wait(Some(told), SHORT) else { panic!() };
         assert_eq!(changes.len(), 1);
         assert_eq!((&changes[0]["name"], &changes[0]["scene"]), (&json!("b.glb"), &json!(1)));
+    }
+
+    #[test]
+    fn of_what_has_gone_only_those_hear_who_have_heard_of_it() {
+        let scenes = Scenes::default();
+        let (a, b) = (Path::new("a.glb"), Path::new("b.glb"));
+        [a, b].iter().for_each(|scene| scenes.tell(scene, Status::Waiting));
+        scenes.tell(a, Status::Removed);
+        let states = |told: Option<u64>| match scenes.wait(told, SHORT) {
+            News::Changes(changes, _) => changes.iter().map(|c| c["status"]["state"].to_string()).collect::<Vec<_>>(),
+            other => panic!("{other:?}"),
+        };
+        assert_eq!(states(Some(2)), ["\"removed\""]);
+        assert_eq!(states(None), ["\"waiting\""]);
     }
 
     #[test]

@@ -10,17 +10,17 @@
 //! A thread serves a connection, which carries one request: a page asks for a dozen files in all, and there are few
 //! pages.
 
-use std::io::{ErrorKind, Write};
+use std::io::Write;
 use std::net::{TcpListener, TcpStream};
+use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use super::bundle::Bundle;
+use super::decoded::Decoded;
 use super::http::{self, Answer, Body, Refusal, Request};
 use super::outputs::Kind;
 use super::scenes::{News, Scenes};
-use super::texels;
 
 /// Most connections at once, and most of those that listen to events.
 const MAX_CONNECTIONS: usize = 64;
@@ -36,8 +36,7 @@ pub struct Shared {
     pub scenes: Scenes,
     connections: AtomicUsize,
     listeners: AtomicUsize,
-    /// Decoding an atlas takes many times its memory: one at a time.
-    decoding: Mutex<()>,
+    pub decoded: Decoded,
 }
 
 /// One of a limited number, given back when it is dropped.
@@ -64,8 +63,13 @@ impl Shared {
             scenes: Scenes::default(),
             connections: AtomicUsize::new(0),
             listeners: AtomicUsize::new(0),
-            decoding: Mutex::new(()),
+            decoded: Decoded::default(),
         }
+    }
+
+    /// Somebody hears what is told.
+    pub fn is_heard(&self) -> bool {
+        self.listeners.load(Ordering::Acquire) > 0
     }
 }
 
@@ -85,13 +89,12 @@ pub fn accept(listener: &TcpListener, shared: &Arc<Shared>) {
 
 /// Gives a connection its thread, where there is one to be had.
 fn begin(mut stream: TcpStream, shared: &Arc<Shared>) {
-    let Ok(()) = stream.set_write_timeout(Some(http::WRITE_TIME)) else { return };
     let count = shared.connections.fetch_add(1, Ordering::AcqRel);
     let own = Arc::clone(shared);
     if count >= MAX_CONNECTIONS {
         shared.connections.fetch_sub(1, Ordering::AcqRel);
         // Who cannot even be told so is gone.
-        let _ = http::send_refusal(&mut stream, Refusal::Busy, false);
+        let _ = http::send_refusal(&stream, Refusal::Busy, false);
         return;
     }
     let work = move || {
@@ -149,17 +152,7 @@ fn output(shared: &Shared, scene: usize, decoded: bool, file: usize, query: Opti
         let (opened, length) = file.open().map_err(|_| Refusal::Overtaken)?.ok_or(Refusal::Overtaken)?;
         return Ok(Answer::ok(file.content_type(), Body::File(opened, length)));
     }
-    let _one = shared.decoding.lock().unwrap_or_else(PoisonError::into_inner);
-    let refusal = |error: std::io::Error| match error.kind() {
-        ErrorKind::FileTooLarge => Refusal::Large,
-        _ => Refusal::Overtaken,
-    };
-    let exr = file.read(texels::MAX_BYTES).map_err(refusal)?.ok_or(Refusal::Overtaken)?;
-    let texels = texels::decode(&exr).map_err(|fault| match fault {
-        texels::Fault::Large => Refusal::Large,
-        texels::Fault::Broken => Refusal::Broken,
-    })?;
-    Ok(Answer::ok("application/octet-stream", Body::Bytes(texels)))
+    Ok(Answer::ok("application/octet-stream", Body::Shared(shared.decoded.of(file)?)))
 }
 
 /// Tells every change until the listener goes or the server ends.
@@ -175,6 +168,7 @@ fn events(stream: &mut TcpStream, shared: &Shared, request: &Request) -> std::io
     loop {
         match shared.scenes.wait(told, SILENCE) {
             News::Changes(changes, now) => {
+                let mut stream = http::Timely::new(stream, http::ANSWER_TIME);
                 for change in changes {
                     // JSON has no line breaks of its own.
                     stream.write_all(format!("event: scene\ndata: {change}\n\n").as_bytes())?;
@@ -183,7 +177,7 @@ fn events(stream: &mut TcpStream, shared: &Shared, request: &Request) -> std::io
                 stream.write_all(format!("event: told\ndata: {now}\n\n").as_bytes())?;
                 told = Some(now);
             }
-            News::Silence => stream.write_all(b": still here\n\n")?,
+            News::Silence => http::Timely::new(stream, http::ANSWER_TIME).write_all(b": still here\n\n")?,
             News::Closing => return Ok(()),
         }
     }

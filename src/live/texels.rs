@@ -5,14 +5,20 @@
 //! where the texel's point lies inside or under other geometry. The scale is 1 unless the light is beyond half floats.
 
 use std::io::Cursor;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Mutex, PoisonError};
+use std::thread;
 
-use exr::meta::MetaData;
-use exr::prelude::{AnyChannel, FlatSamples, ReadChannels, ReadLayers, f16, read};
+use exr::block::chunk::Chunk;
+use exr::block::{UncompressedBlock, read};
+use exr::meta::{BlockDescription, MetaData, attribute::SampleType, header::Header};
+use exr::prelude::f16;
 use luxel_export::openexr::BURIED;
-use rayon::prelude::*;
 
 /// No more texels are decoded: they fill 512 MiB, and more of a browser's memory.
 const MAX_TEXELS: usize = 1 << 26;
+/// Nor wider and higher pictures.
+const MAX_SIDE: usize = 1 << 16;
 /// A larger file holds more than that.
 pub const MAX_BYTES: u64 = 24 * MAX_TEXELS as u64;
 /// Four numbers and, for each texel, four half floats.
@@ -20,6 +26,8 @@ const HEADER: usize = 16;
 const TEXEL: usize = 8;
 /// The largest number that is laid on a half float (the largest of all is 65504).
 const MAX_HALF: f32 = 60_000.0;
+/// Threads at most. They are no bake's, which has its own pool and may be at work, as after a draft.
+const MOST_THREADS: usize = 8;
 
 /// Why a lightmap is not decoded.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -32,57 +40,123 @@ pub enum Fault {
 
 /// The texels of an .exr that luxel wrote.
 pub fn decode(exr: &[u8]) -> Result<Vec<u8>, Fault> {
-    let meta = MetaData::read_from_buffered(Cursor::new(exr), false).map_err(|_| Fault::Broken)?;
-    let area = |size: exr::math::Vec2<usize>| size.0.checked_mul(size.1).filter(|area| *area <= MAX_TEXELS);
-    if !meta.headers.iter().all(|h| h.channels.list.len() <= 8 && area(h.layer_size).is_some()) {
+    let broken = |_| Fault::Broken;
+    let meta = MetaData::read_from_buffered(Cursor::new(exr), false).map_err(broken)?;
+    let fits = |h: &Header| {
+        let (width, height) = (h.layer_size.0, h.layer_size.1);
+        width.max(height) <= MAX_SIDE && width * height <= MAX_TEXELS && h.channels.list.len() <= 8
+    };
+    if !meta.headers.iter().all(fits) {
         return Err(Fault::Large);
     }
-    let image = read().no_deep_data().largest_resolution_level().all_channels().first_valid_layer().all_attributes();
-    let layer = image.from_buffered(Cursor::new(exr)).map_err(|_| Fault::Broken)?.layer_data;
-    let (width, height) = (layer.size.0, layer.size.1);
-    let channel = |name: &str| {
-        let found = layer.channel_data.list.iter().find(|c| c.name.eq(name));
-        found.filter(|c| c.sample_data.len() == width * height)
-    };
-    let band = |name: &str| channel(name).ok_or(Fault::Broken);
-    let light = [band("R")?, band("G")?, band("B")?];
-    let (cover, buried) = (band("A")?, channel(BURIED));
-    let scale = scale(light);
-    let mut texels = vec![0; HEADER + TEXEL * width * height];
-    let (header, rows) = texels.split_at_mut(HEADER);
-    let numbers = [width as u32, height as u32, scale.to_bits(), 0].map(u32::to_le_bytes);
-    header.copy_from_slice(numbers.as_flattened());
-    rows.par_chunks_exact_mut(TEXEL * width.max(1)).enumerate().for_each(|(y, row)| {
-        let of = |channel: &AnyChannel<FlatSamples>| values(channel, y * width, width);
-        let [r, g, b] = light.map(of);
-        let (a, buried) = (of(cover), buried.map(of));
+    let chunks = read(Cursor::new(exr), false).and_then(|reader| reader.all_chunks(false)?.collect());
+    let picture = Picture::new(&meta, chunks.map_err(broken)?)?;
+    let (texels, most) = picture.texels(1.0)?;
+    // Light beyond half floats is rare, so it is known when all is decoded.
+    if most > MAX_HALF { picture.texels(most / MAX_HALF).map(|(texels, _)| texels) } else { Ok(texels) }
+}
+
+/// A file that was taken apart, and nothing of it decoded.
+struct Picture<'a> {
+    meta: &'a MetaData,
+    header: &'a Header,
+    chunks: Vec<Chunk>,
+    /// Places of R, G, B and A in the list of channels, and of the buried texels where there are any.
+    channels: [usize; 4],
+    buried: Option<usize>,
+}
+
+impl<'a> Picture<'a> {
+    fn new(meta: &'a MetaData, chunks: Vec<Chunk>) -> Result<Self, Fault> {
+        let [header] = &meta.headers[..] else { return Err(Fault::Broken) };
+        if header.deep || header.blocks != BlockDescription::ScanLines {
+            return Err(Fault::Broken);
+        }
+        let place = |name: &str| header.channels.list.iter().position(|c| c.name.eq(name));
+        let band = |name: &str| place(name).ok_or(Fault::Broken);
+        let channels = [band("R")?, band("G")?, band("B")?, band("A")?];
+        Ok(Self { meta, header, chunks, channels, buried: place(BURIED) })
+    }
+
+    /// Header and texels, with light divided by `scale`, and the most light that is finite.
+    fn texels(&self, scale: f32) -> Result<(Vec<u8>, f32), Fault> {
+        let (width, height) = (self.header.layer_size.0, self.header.layer_size.1);
+        let mut texels = vec![0; HEADER + TEXEL * width * height];
+        let (header, rows) = texels.split_at_mut(HEADER);
+        let numbers = [width as u32, height as u32, scale.to_bits(), 0].map(u32::to_le_bytes);
+        header.copy_from_slice(numbers.as_flattened());
+        let rows: Vec<Mutex<&mut [u8]>> = rows.chunks_exact_mut(TEXEL * width.max(1)).map(Mutex::new).collect();
+        let (next, filled) = (AtomicUsize::new(0), AtomicUsize::new(0));
+        let work = || -> Result<f32, Fault> {
+            let mut most = 0.0f32;
+            while let Some(chunk) = self.chunks.get(next.fetch_add(1, Ordering::Relaxed)) {
+                let (count, light) = self.block(chunk, &rows, scale)?;
+                filled.fetch_add(count, Ordering::Relaxed);
+                most = most.max(light);
+            }
+            Ok(most)
+        };
+        let threads = thread::available_parallelism().map_or(1, usize::from).min(MOST_THREADS);
+        let most = thread::scope(|scope| {
+            // Whatever others there are, this thread does what is left. A decoder may panic over damage.
+            let spawn = |_| thread::Builder::new().name("luxel preview".into()).spawn_scoped(scope, work).ok();
+            let others: Vec<_> = (0..threads).filter_map(spawn).collect();
+            let own = if others.is_empty() { work() } else { Ok(0.0) };
+            let joined = others.into_iter().map(|other| other.join().unwrap_or(Err(Fault::Broken)));
+            joined.chain([own]).try_fold(0.0f32, |most, light| Ok(most.max(light?)))
+        })?;
+        if filled.into_inner() == height { Ok((texels, most)) } else { Err(Fault::Broken) }
+    }
+
+    /// Decodes some rows; returns how many, and the most light in them.
+    fn block(&self, chunk: &Chunk, rows: &[Mutex<&mut [u8]>], scale: f32) -> Result<(usize, f32), Fault> {
+        let channels = &self.header.channels;
+        let block = UncompressedBlock::decompress_chunk(chunk.clone(), self.meta, false).map_err(|_| Fault::Broken)?;
+        let (mut count, mut most) = (0, 0.0f32);
+        let mut values: Vec<Vec<f32>> = vec![Vec::new(); channels.list.len()];
+        for line in block.lines(channels) {
+            let (channel, position) = (line.location.channel, line.location.position);
+            let (Some(into), Some(of)) = (values.get_mut(channel), channels.list.get(channel)) else { break };
+            floats(line.value, of.sample_type, into);
+            if channel + 1 == channels.list.len() {
+                let row = rows.get(position.y()).ok_or(Fault::Broken)?;
+                let row = &mut *row.lock().unwrap_or_else(PoisonError::into_inner);
+                if position.x() != 0 || values.iter().any(|v| v.len() * TEXEL != row.len()) {
+                    return Err(Fault::Broken);
+                }
+                most = most.max(self.row(&values, row, scale));
+                count += 1;
+            }
+        }
+        Ok((count, most))
+    }
+
+    /// Writes a row; returns the most light in it.
+    fn row(&self, values: &[Vec<f32>], row: &mut [u8], scale: f32) -> f32 {
+        let [r, g, b, a] = self.channels.map(|channel| &values[channel][..]);
+        let buried = self.buried.map(|channel| &values[channel][..]);
+        let mut most = 0.0f32;
         for (x, texel) in row.chunks_exact_mut(TEXEL).enumerate() {
-            let is_buried = buried.as_ref().is_some_and(|buried| buried[x] > 0.5);
-            let sign = if is_buried { -1.0 } else { 1.0 };
-            let band = |e: f32| if e > 0.0 { (e / scale).min(MAX_HALF) } else { 0.0 };
-            let values = [band(r[x]), band(g[x]), band(b[x]), sign * a[x].clamp(0.0, 1.0)];
+            let sign = if buried.is_some_and(|buried| buried[x] > 0.5) { -1.0 } else { 1.0 };
+            let light = [r[x], g[x], b[x]];
+            most = light.into_iter().filter(|e| e.is_finite()).fold(most, f32::max);
+            let [r, g, b] = light.map(|e| if e > 0.0 { (e / scale).min(MAX_HALF) } else { 0.0 });
+            let values = [r, g, b, sign * a[x].clamp(0.0, 1.0)];
             texel.copy_from_slice(values.map(|v| f16::from_f32(v).to_le_bytes()).as_flattened());
         }
-    });
-    Ok(texels)
+        most
+    }
 }
 
-/// What E must be divided by to be a half float.
-fn scale(light: [&AnyChannel<FlatSamples>; 3]) -> f32 {
-    let most = |channel: &AnyChannel<FlatSamples>| {
-        let values = channel.sample_data.values_as_f32();
-        values.filter(|v| v.is_finite()).fold(0.0, f32::max)
-    };
-    let max = light.into_iter().map(most).fold(0.0, f32::max);
-    if max > MAX_HALF { max / MAX_HALF } else { 1.0 }
-}
-
-/// Some values of a channel.
-fn values(channel: &AnyChannel<FlatSamples>, start: usize, count: usize) -> Vec<f32> {
-    match &channel.sample_data {
-        FlatSamples::F32(all) => all[start..start + count].to_vec(),
-        FlatSamples::F16(all) => all[start..start + count].iter().map(|v| v.to_f32()).collect(),
-        FlatSamples::U32(all) => all[start..start + count].iter().map(|v| *v as f32).collect(),
+/// The values of a line, in the order of bytes of this machine.
+fn floats(bytes: &[u8], kind: SampleType, values: &mut Vec<f32>) {
+    values.clear();
+    let (pairs, _) = bytes.as_chunks();
+    let (words, _) = bytes.as_chunks();
+    match kind {
+        SampleType::F16 => values.extend(pairs.iter().map(|b| f16::from_ne_bytes(*b).to_f32())),
+        SampleType::F32 => values.extend(words.iter().map(|b| f32::from_ne_bytes(*b))),
+        SampleType::U32 => values.extend(words.iter().map(|b| u32::from_ne_bytes(*b) as f32)),
     }
 }
 

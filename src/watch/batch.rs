@@ -4,7 +4,7 @@
 //! when nothing has come for [`QUIET`], and after [`LONGEST`] at the latest, so that a file which never rests is looked at
 //! all the same. Time is whatever the caller says it is.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -26,6 +26,9 @@ pub enum Hint {
         /// It was removed or renamed: if it is a folder, it is watched no longer.
         gone: bool,
     },
+    /// At this file, once more: its stamp may hide that its content is another one than when it was looked at. Nobody
+    /// needs to hear that it is not.
+    Again(PathBuf),
     /// Anywhere: events were lost.
     Everywhere,
 }
@@ -35,6 +38,8 @@ pub enum Hint {
 pub struct Hints {
     /// Whether each was removed or renamed.
     pub paths: BTreeMap<PathBuf, bool>,
+    /// Files that were hinted at once more.
+    pub again: BTreeSet<PathBuf>,
     pub everywhere: bool,
 }
 
@@ -44,7 +49,8 @@ impl Hints {
             Hint::At { path, gone } if self.paths.len() < MOST || self.paths.contains_key(&path) => {
                 *self.paths.entry(path).or_default() |= gone;
             }
-            Hint::At { .. } | Hint::Everywhere => self.everywhere = true,
+            Hint::Again(path) if self.again.len() < MOST => drop(self.again.insert(path)),
+            Hint::At { .. } | Hint::Again(_) | Hint::Everywhere => self.everywhere = true,
         }
     }
 
@@ -138,5 +144,8 @@ mod tests {
         let mut hints = Hints::default();
         (0..10_000).for_each(|i| hints.add(at(&format!("{i}"), false)));
         assert!(hints.everywhere && hints.paths.len() == MOST);
+        let mut hints = Hints::default();
+        (0..10_000).for_each(|i| hints.add(Hint::Again(format!("{i}").into())));
+        assert!(hints.everywhere && hints.again.len() == MOST);
     }
 }

@@ -7,57 +7,20 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use luxel_export::OutputSet;
 use luxel_scene::InputFile;
 
 use super::Options;
+use super::batch::Hints;
 use super::depend::{Digests, Look, read};
 use super::event::{Event, Fault};
+use super::item::{Failure, Item};
 use super::place::{Place, leads_to};
 use crate::content::{Content, sky};
 use crate::discover::{self, Found, is_scene, is_searched};
-
-/// One scene.
-pub struct Item {
-    found: Found,
-    /// It exists, and a search finds it.
-    here: bool,
-    /// As it was seen last.
-    pub look: Look,
-    /// The paths it depends on, by the names under which events speak of them.
-    keys: BTreeMap<PathBuf, PathBuf>,
-    /// Where those are, or would appear.
-    folders: BTreeSet<PathBuf>,
-    /// What its last good bake read.
-    read: BTreeSet<PathBuf>,
-    /// What its outputs were made from.
-    baked: Option<Look>,
-    outputs: Vec<PathBuf>,
-    failed: Option<Failure>,
-    /// The higher, the later it has changed.
-    changed: u64,
-}
-
-/// What could not be baked, and why.
-struct Failure {
-    look: Look,
-    fault: Fault,
-    /// It follows from the look alone: the same look fails again.
-    is_lasting: bool,
-}
-
-impl Item {
-    /// It is to be baked as it is now.
-    fn is_wanted(&self) -> bool {
-        self.here && self.baked.as_ref() != Some(&self.look) && !self.is_broken()
-    }
-
-    /// It could not be baked as it is now.
-    fn is_broken(&self) -> bool {
-        self.here && self.failed.as_ref().is_some_and(|f| f.look == self.look)
-    }
-}
 
 /// All scenes.
 pub struct Book {
@@ -76,11 +39,12 @@ pub struct Book {
 }
 
 impl Book {
-    pub fn new(options: Options) -> Self {
+    /// Nothing is looked at any more once the watch is `ending`.
+    pub fn new(options: Options, ending: Arc<AtomicBool>) -> Self {
         Self {
             options,
             items: BTreeMap::new(),
-            digests: Digests::default(),
+            digests: Digests::until(ending),
             tree: BTreeSet::new(),
             roots: Vec::new(),
             anchors: BTreeSet::new(),
@@ -101,6 +65,23 @@ impl Book {
     /// Scenes that cannot be baked as they are now.
     pub fn failed(&self) -> Vec<PathBuf> {
         self.items.iter().filter(|(_, i)| i.is_broken()).map(|(s, _)| s.clone()).collect()
+    }
+
+    /// Scenes whose outputs are drafts.
+    pub fn drafts(&self) -> Vec<PathBuf> {
+        let unbaked = self.items.iter().filter(|(_, i)| i.here && i.baked.is_none());
+        unbaked.filter(|(_, i)| i.kept() == Some(true)).map(|(s, _)| s.clone()).collect()
+    }
+
+    /// Whether a scene's outputs are a draft; none where it has no outputs.
+    pub fn kept(&self, scene: &Path) -> Option<bool> {
+        self.items.get(scene)?.kept()
+    }
+
+    /// All scenes, each with the report of an earlier bake where there is one.
+    pub fn reports(&self) -> Vec<(PathBuf, Option<PathBuf>)> {
+        let report = |i: &Item| i.look.outputs.as_ref().ok().map(OutputSet::report).filter(|report| report.is_file());
+        self.items.iter().filter(|(_, i)| i.here).map(|(s, i)| (s.clone(), report(i))).collect()
     }
 
     /// The scene to be baked next: the one that has changed last, since somebody waits for it.
@@ -140,10 +121,15 @@ impl Book {
     }
 
     /// Looks at whatever hinted paths concern: tells what has changed.
-    pub fn attend(&mut self, paths: &BTreeMap<PathBuf, bool>, everywhere: bool, tell: &mut dyn FnMut(Event)) {
+    pub fn attend(&mut self, hints: &Hints, tell: &mut dyn FnMut(Event)) {
         let mut touched: BTreeMap<PathBuf, BTreeSet<PathBuf>> = BTreeMap::new();
-        let mut whole = everywhere;
-        for path in paths.keys() {
+        let mut whole = hints.everywhere;
+        let again: Vec<(PathBuf, PathBuf)> = hints.again.iter().flat_map(|path| self.depending(path)).collect();
+        for (scene, file) in again {
+            self.digests.forget(&file);
+            touched.entry(scene).or_default();
+        }
+        for path in hints.paths.keys() {
             let depending = self.depending(path);
             // Of a scene that was away only a search finds out that it is back.
             let is_here = |scene: &PathBuf| self.items.get(scene).is_some_and(|i| i.here);
@@ -158,16 +144,22 @@ impl Book {
             }
             whole |= !(known && path.is_file()) && (leads_to(path, &self.anchors) || self.may_be_new(path));
         }
+        let known: BTreeSet<PathBuf> = self.items.iter().filter(|(_, i)| i.here).map(|(s, _)| s.clone()).collect();
         if whole {
             self.survey(true, tell);
         }
         let scenes: Vec<PathBuf> =
             if whole { self.items.keys().cloned().collect() } else { touched.keys().cloned().collect() };
         for scene in scenes {
-            let differs = self.look(&scene, tell);
+            let is_news = self.look(&scene, tell);
+            if self.is_ending() {
+                return;
+            }
             let files = touched.remove(&scene).unwrap_or_default();
-            if !differs
+            // Of one that has just been found it was said that it is there.
+            if !is_news
                 && !files.is_empty()
+                && known.contains(&scene)
                 && let Some(item) = self.items.get_mut(&scene).filter(|i| i.here)
             {
                 // What stood in its way may have gone: a full disk, a folder that was closed.
@@ -182,27 +174,29 @@ impl Book {
     pub fn survey(&mut self, news: bool, tell: &mut dyn FnMut(Event)) {
         let out = self.options.out.as_ref().and_then(|o| o.canonicalize().ok());
         (self.tree, self.roots) = Default::default();
-        let mut found: BTreeMap<PathBuf, Found> = BTreeMap::new();
+        let mut found = Findings::default();
         let mut closed = BTreeMap::new();
         for (path, is_folder) in &self.options.paths {
             self.roots.extend(Place::all(path));
             if !*is_folder {
                 if path.exists() {
-                    found.entry(path.clone()).or_insert(Found { scene: path.clone(), root: None });
+                    found.add(Found { scene: path.clone(), root: None });
                 }
                 continue;
             }
             let below = discover::below(path, out.as_deref());
             self.tree.extend(below.folders.iter().filter_map(|f| f.canonicalize().ok()));
             for scene in below.scenes {
-                found.entry(scene.clone()).or_insert(Found { scene, root: Some(path.clone()) });
+                found.add(Found { scene, root: Some(path.clone()) });
             }
-            // A named folder that is not there holds nothing; any other error says nothing of what is there.
-            for (folder, error) in below.closed.into_iter().filter(|(_, e)| e.kind() != ErrorKind::NotFound) {
+            // A named folder that is not there, or is a file now, holds nothing; any other error says nothing of what is
+            // there.
+            let is_gone = |e: &std::io::Error| matches!(e.kind(), ErrorKind::NotFound | ErrorKind::NotADirectory);
+            for (folder, error) in below.closed.into_iter().filter(|(_, e)| !is_gone(e)) {
                 // What was known of it stays.
                 let is_known = |i: &&Item| i.here && i.found.root.as_ref() == Some(path);
                 let known = self.items.values().filter(is_known).filter(|i| i.found.scene.starts_with(&folder));
-                found.extend(known.map(|i| (i.found.scene.clone(), i.found.clone())));
+                known.for_each(|i| found.add(i.found.clone()));
                 let reason = format!("it cannot be searched for scenes: {error}");
                 if self.closed.get(&folder) != Some(&reason) {
                     tell(Event::Unwatched { path: folder.clone(), reason: reason.clone() });
@@ -211,14 +205,14 @@ impl Book {
             }
         }
         self.closed = closed;
+        let mut found = found.scenes;
         self.leave_outputs_alone(&mut found);
         self.register(found, news, tell);
     }
 
     /// A bake writes its .glb before the report by which a search knows it: what a known scene writes is none.
     fn leave_outputs_alone(&self, found: &mut BTreeMap<PathBuf, Found>) {
-        let outputs: BTreeSet<PathBuf> =
-            self.items.values().filter_map(|i| Some(Place::of(&i.look.outputs.as_ref().ok()?.glb())?.key)).collect();
+        let outputs: BTreeSet<PathBuf> = self.items.values().filter_map(|i| i.target.clone()).collect();
         found.retain(|scene, f| f.root.is_none() || Place::of(scene).is_none_or(|p| !outputs.contains(&p.key)));
     }
 
@@ -235,13 +229,7 @@ impl Book {
             let known = self.items.get_mut(&scene);
             let is_new = known.as_ref().is_none_or(|i| !i.here);
             match known {
-                Some(item) => {
-                    // Who takes a scene away may take its outputs along.
-                    if is_new && !item.outputs.iter().all(|file| file.exists()) {
-                        item.baked = None;
-                    }
-                    (item.here, item.found) = (true, found);
-                }
+                Some(item) => (item.here, item.found) = (true, found),
                 None => drop(self.items.insert(scene.clone(), Item::new(found))),
             }
             if is_new {
@@ -257,25 +245,40 @@ impl Book {
         self.index();
     }
 
-    /// Looks at a scene anew; tells and returns whether it differs from before.
+    /// Looks at a scene anew; tells and returns whether it, or what lies at its outputs, differs from before.
     pub fn look(&mut self, scene: &Path, tell: &mut dyn FnMut(Event)) -> bool {
         let Some(look) = self.glance(scene) else { return false };
         let Some(item) = self.items.get_mut(scene) else { return false };
         item.find(&look, &self.options);
+        item.target = look.outputs.as_ref().ok().and_then(|o| Some(Place::of(&o.glb())?.key));
         let before = std::mem::replace(&mut item.look, look);
         let differs = before != item.look;
         if differs && item.here {
+            tell_change(scene, &before, &item.look, tell);
+        }
+        // Who takes a scene away, and brings it back as it was, may have taken its outputs along.
+        let lost = item.lose();
+        let is_news = differs || !lost.is_empty();
+        if is_news && item.here {
             self.changes += 1;
             item.changed = self.changes;
-            tell(Event::Changed { scene: scene.into(), files: before.differences(&item.look) });
-            if item.failed.take_if(|f| f.look != item.look).is_some() && item.baked.as_ref() == Some(&item.look) {
+            let is_mended = item.failed.take_if(|f| f.look != item.look).is_some();
+            if is_mended && item.baked.as_ref() == Some(&item.look) {
                 tell(Event::Current { scene: scene.into(), outputs: item.outputs.clone() });
             }
         }
-        differs
+        if !lost.is_empty() {
+            tell(Event::Lost { scene: scene.into(), files: lost });
+        }
+        is_news
     }
 
-    /// A scene as it is now, of which nothing is kept.
+    /// What is found from now on is not to be believed.
+    fn is_ending(&self) -> bool {
+        self.digests.ending.load(Ordering::Relaxed)
+    }
+
+    /// A scene as it is now, of which nothing is kept; none of one that is not known, or where the watch ends meanwhile.
     pub fn glance(&mut self, scene: &Path) -> Option<Look> {
         let outputs = self.place(scene)?;
         let item = self.items.get(scene)?;
@@ -283,13 +286,18 @@ impl Book {
         files.extend(item.read.iter().cloned());
         files.extend(settings.as_ref().ok().and_then(sky));
         let files = files.into_iter().map(|f| (self.digests.of(&f), f)).map(|(content, f)| (f, content)).collect();
-        Some(Look { files, settings, outputs })
+        (!self.is_ending()).then_some(Look { files, settings, outputs })
     }
 
     /// A scene as it is now, after something happened at these of its files.
     pub fn glance_after(&mut self, scene: &Path, files: &[PathBuf]) -> Option<Look> {
         files.iter().for_each(|file| self.digests.forget(file));
         self.glance(scene)
+    }
+
+    /// One of these files has surely another content than when it was looked at last.
+    pub fn are_others(&self, files: &[PathBuf]) -> bool {
+        files.iter().any(|file| self.digests.is_of_other_length(file))
     }
 
     /// Where a scene's outputs go, if there is such a place and no other scene has it.
@@ -300,7 +308,8 @@ impl Book {
             Ok(set) => set,
             Err(error) => return Some(Err(Fault::new(&error))),
         };
-        let same = |i: &&Item| i.here && i.look.outputs.as_ref().is_ok_and(|o| *o == set);
+        let target = Place::of(&set.glb()).map(|place| place.key);
+        let same = |i: &Item| i.here && i.target.is_some() && i.target == target;
         let other = self.items.iter().find(|(s, i)| s.as_path() < scene && same(i));
         Some(match other {
             Some((other, _)) => {
@@ -316,7 +325,9 @@ impl Book {
     /// What events may speak of.
     fn index(&mut self) {
         let items = self.items.values();
-        let keys = items.flat_map(|i| i.keys.keys()).chain(&self.tree).chain(self.roots.iter().map(|p| &p.key));
+        // Folders of outputs are not listened at, but who removes one is heard from above.
+        let own = items.flat_map(|i| i.keys.keys().chain(&i.target));
+        let keys = own.chain(&self.tree).chain(self.roots.iter().map(|p| &p.key));
         self.anchors = keys.cloned().collect();
         let named: BTreeSet<&Path> =
             self.items.values().flat_map(|i| i.look.files.keys()).map(PathBuf::as_path).collect();
@@ -378,33 +389,33 @@ impl Book {
     }
 }
 
-impl Item {
-    fn new(found: Found) -> Self {
-        let nothing = Fault::default();
-        Self {
-            found,
-            here: true,
-            look: Look { files: BTreeMap::new(), settings: Err(nothing.clone()), outputs: Err(nothing) },
-            keys: BTreeMap::new(),
-            folders: BTreeSet::new(),
-            read: BTreeSet::new(),
-            baked: None,
-            outputs: Vec::new(),
-            failed: None,
-            changed: 0,
+/// What a search has found: no scene twice, by whatever names it is reached. The first one that was named counts.
+#[derive(Default)]
+struct Findings {
+    scenes: BTreeMap<PathBuf, Found>,
+    keys: BTreeSet<PathBuf>,
+}
+
+impl Findings {
+    fn add(&mut self, found: Found) {
+        let key = Place::of(&found.scene).map_or_else(|| found.scene.clone(), |place| place.key);
+        if self.keys.insert(key) {
+            self.scenes.insert(found.scene.clone(), found);
         }
     }
+}
 
-    /// Finds out under which names events will speak of what a look saw.
-    fn find(&mut self, look: &Look, options: &Options) {
-        (self.keys, self.folders) = Default::default();
-        let settings = options.choices.file(&self.found.scene);
-        for path in look.files.keys().chain([&settings]) {
-            for place in Place::all(path) {
-                self.keys.insert(place.key, path.clone());
-                self.folders.insert(place.folder);
-            }
-        }
+/// Tells what of a scene differs between two looks.
+fn tell_change(scene: &Path, before: &Look, now: &Look, tell: &mut dyn FnMut(Event)) {
+    let files = before.differences(now);
+    if !files.is_empty() || before.settings != now.settings {
+        tell(Event::Changed { scene: scene.into(), files });
+    }
+    // Where there is no place for its outputs, that is told as the fault which it is.
+    if let (Ok(old), Ok(new)) = (&before.outputs, &now.outputs)
+        && old != new
+    {
+        tell(Event::Moved { scene: scene.into(), glb: new.glb() });
     }
 }
 
@@ -419,7 +430,8 @@ mod tests {
         let flags = Layer::new(Origin::CommandLine);
         let choices = super::super::Choices { config: None, flags };
         let paths = vec![(folder.path().to_path_buf(), true)];
-        let mut book = Book::new(Options { paths, out: None, choices, worker: None, store: Default::default() });
+        let options = Options { paths, out: None, choices, worker: None, store: Default::default() };
+        let mut book = Book::new(options, Arc::default());
         let [a, b] = ["a.glb", "b.glb"].map(|name| folder.path().join(name));
         [&a, &b].iter().for_each(|path| std::fs::write(path, "x").unwrap());
         book.survey(false, &mut |_| {});

@@ -6,9 +6,12 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
 
 use luxel_export::OutputSet;
 
+use super::digest::digest;
 use super::event::Fault;
 use super::stamp::Stamp;
 use crate::bake::guarded;
@@ -77,9 +80,16 @@ fn guarded_read<T>(
 #[derive(Debug, Default)]
 pub struct Digests {
     known: BTreeMap<PathBuf, (Stamp, Content)>,
+    /// Nothing is read any more, and what is found from then on is not to be believed.
+    pub ending: Arc<AtomicBool>,
 }
 
 impl Digests {
+    /// Nothing large is read any more once somebody asks for the end.
+    pub fn until(ending: Arc<AtomicBool>) -> Self {
+        Self { known: BTreeMap::new(), ending }
+    }
+
     /// What the file holds.
     pub fn of(&mut self, path: &Path) -> Content {
         let meta = match std::fs::metadata(path) {
@@ -93,10 +103,16 @@ impl Digests {
         if let Some((_, content)) = self.known.get(path).filter(|(s, _)| *s == stamp) {
             return *content;
         }
-        let content = Content::read(path, &meta);
+        let content = Content::read_by(path, &meta, |path, length| digest(path, length, &self.ending));
         // A file that changed while it was read has another stamp now, and is read again.
         self.known.insert(path.to_path_buf(), (stamp, content));
         content
+    }
+
+    /// The file has another length than it had when it was read last: another content, which need not be read.
+    pub fn is_of_other_length(&self, path: &Path) -> bool {
+        let read = self.known.get(path).filter(|(_, content)| content.is_read());
+        read.is_some_and(|(stamp, _)| std::fs::metadata(path).is_ok_and(|meta| meta.len() != stamp.length))
     }
 
     /// The file is to be read again whatever its stamp says.
@@ -165,7 +181,11 @@ mod tests {
         digests.known.get_mut(&path).unwrap().1 = Content::Refused(7);
         assert_eq!(digests.of(&path), Content::Refused(7), "not read again");
         digests.forget(&path);
-        assert_eq!(digests.of(&path), truth);
+        assert!(digests.of(&path) == truth && !digests.is_of_other_length(&path));
+        std::fs::write(&path, "two").unwrap();
+        assert!(!digests.is_of_other_length(&path), "another content, perhaps");
+        std::fs::write(&path, "three").unwrap();
+        assert!(digests.is_of_other_length(&path));
         digests.retain(|_| false);
         assert!(digests.known.is_empty());
     }

@@ -7,21 +7,25 @@
 //! |---|---|---|
 //! | `preview` | `url`, `notice` | with `--preview`, before all others: where the page is, and what has to be done before it shows anything, or null |
 //! | `watching` | `paths` [text], `scenes` number | once, at the start |
-//! | `polling` | `folder`, `reason`, `seconds` | a folder is looked at every so often, because nobody tells of changes in it |
+//! | `waiting` | `scene`, `outputs` [text] | after `watching`, each scene; with the report of its last bake, where there is one, whether or not it is current |
+//! | `polling` | `folder`, `reason`, `seconds` | a folder is looked at every so often, though nobody asked for it, because nobody tells of changes in it |
 //! | `unwatched` | `path`, `reason` | a folder cannot be watched or read; luxel goes on with what it sees |
 //! | `found` | `scene` | a scene has come |
 //! | `changed` | `scene`, `files` [text] | files of a scene have other content than before; empty where its settings have changed alone |
+//! | `moved` | `scene`, `glb` | its outputs have other names from now on, since a scene of its name has come beside it or has gone; those of the old names stay |
+//! | `lost` | `scene`, `files` [text] | outputs of a scene that was current are not there any more: it is baked again |
 //! | `unchanged` | `scene`, `files` [text] | files were touched, and hold what they held |
 //! | `removed` | `scene` | a scene has gone; its outputs stay |
 //! | `baking` | `scene` | a bake begins |
 //! | `drafted` | `scene`, `seconds`, `outputs` [text], `quality` {name: number}, `warnings` [{`code`, `message`}] | a draft of what is being baked is in place of the scene's outputs, until the bake ends |
 //! | `overtaken` | `scene` | a bake was stopped, because its files have changed meanwhile; another one follows unless they were changed back or removed |
 //! | `baked` | `scene`, `seconds`, `outputs` [text], `quality` {name: number}, `warnings` [{`code`, `message`}] | a bake has ended well; all its files are in place |
-//! | `failed` | `scene`, `error`, `causes` [text] | the scene cannot be baked as it is now; its last good outputs stay; it is tried again when a file of it changes or, if the fault lies neither in its files nor in its settings, is touched |
+//! | `failed` | `scene`, `error`, `causes` [text], `draft` | the scene cannot be baked as it is now; its last outputs stay: `draft` is true where they are a draft, false where they are a bake's, null where there are none; it is tried again when a file of it changes or, if the fault lies neither in its files nor in its settings, is touched |
 //! | `current` | `scene`, `outputs` [text] | a scene is what its outputs were made from, when it is found or again after it was broken: nothing is baked |
 //! | `unshown` | `scene`, `error`, `causes` [text] | the preview cannot show what was baked, and goes on showing what it shows |
-//! | `idle` | `scenes` number, `failed` [text] | everything is as current as it can be |
-//! | `stopped` | `scenes` number, `failed` [text] | the last one: the watch was asked to end |
+//! | `idle` | `scenes` number, `failed` [text], `draft` [text] | everything is as current as it can be; `draft` names the scenes whose outputs are drafts |
+//! | `stopped` | `scenes` number, `failed` [text], `draft` [text] | the last one: the watch was asked to end; `draft` as in `idle` |
+//! | `usage` | `error`, `causes` [text] | the command line could not be followed: the last one, and as a rule the only one |
 //!
 //! Between `baking` and what ends it, a draft included, the tool also prints the events of its stages as `luxel bake --json` does
 //! (`started`, `progress`, `finished`).
@@ -37,21 +41,24 @@ use serde_json::{Value, json};
 pub enum Event {
     Preview { url: String, notice: Option<String> },
     Watching { paths: Vec<PathBuf>, scenes: usize },
+    Waiting { scene: PathBuf, outputs: Vec<PathBuf> },
     Polling { folder: PathBuf, reason: String, seconds: f64 },
     Unwatched { path: PathBuf, reason: String },
     Found { scene: PathBuf },
     Changed { scene: PathBuf, files: Vec<PathBuf> },
+    Moved { scene: PathBuf, glb: PathBuf },
+    Lost { scene: PathBuf, files: Vec<PathBuf> },
     Unchanged { scene: PathBuf, files: Vec<PathBuf> },
     Removed { scene: PathBuf },
     Baking { scene: PathBuf },
     Drafted { scene: PathBuf, done: Done },
     Overtaken { scene: PathBuf },
     Baked { scene: PathBuf, done: Done },
-    Failed { scene: PathBuf, fault: Fault },
+    Failed { scene: PathBuf, fault: Fault, draft: Option<bool> },
     Current { scene: PathBuf, outputs: Vec<PathBuf> },
     Unshown { scene: PathBuf, fault: Fault },
-    Idle { scenes: usize, failed: Vec<PathBuf> },
-    Stopped { scenes: usize, failed: Vec<PathBuf> },
+    Idle { scenes: usize, failed: Vec<PathBuf>, draft: Vec<PathBuf> },
+    Stopped { scenes: usize, failed: Vec<PathBuf>, draft: Vec<PathBuf> },
 }
 
 /// What a bake that ended well tells.
@@ -93,6 +100,8 @@ impl Event {
             Self::Changed { scene, files } => {
                 json!({ "event": "changed", "scene": text(scene), "files": texts(files) })
             }
+            Self::Moved { scene, glb } => json!({ "event": "moved", "scene": text(scene), "glb": text(glb) }),
+            Self::Lost { scene, files } => json!({ "event": "lost", "scene": text(scene), "files": texts(files) }),
             Self::Unchanged { scene, files } => {
                 json!({ "event": "unchanged", "scene": text(scene), "files": texts(files) })
             }
@@ -101,15 +110,16 @@ impl Event {
             Self::Overtaken { scene } => of("overtaken", scene),
             Self::Drafted { scene, done } => with_done("drafted", scene, done),
             Self::Baked { scene, done } => with_done("baked", scene, done),
-            Self::Failed { scene, fault } => with_fault("failed", scene, fault),
-            Self::Current { scene, outputs } => {
-                json!({ "event": "current", "scene": text(scene), "outputs": texts(outputs) })
+            Self::Failed { scene, fault, draft } => {
+                let mut json = with_fault("failed", scene, fault);
+                json["draft"] = json!(draft);
+                json
             }
+            Self::Waiting { scene, outputs } => with_outputs("waiting", scene, outputs),
+            Self::Current { scene, outputs } => with_outputs("current", scene, outputs),
             Self::Unshown { scene, fault } => with_fault("unshown", scene, fault),
-            Self::Idle { scenes, failed } => json!({ "event": "idle", "scenes": scenes, "failed": texts(failed) }),
-            Self::Stopped { scenes, failed } => {
-                json!({ "event": "stopped", "scenes": scenes, "failed": texts(failed) })
-            }
+            Self::Idle { scenes, failed, draft } => at_rest("idle", *scenes, failed, draft),
+            Self::Stopped { scenes, failed, draft } => at_rest("stopped", *scenes, failed, draft),
         }
     }
 }
@@ -127,6 +137,14 @@ fn with_done(event: &str, scene: &Path, done: &Done) -> Value {
         "quality": done.quality,
         "warnings": done.warnings,
     })
+}
+
+fn with_outputs(event: &str, scene: &Path, outputs: &[PathBuf]) -> Value {
+    json!({ "event": event, "scene": text(scene), "outputs": texts(outputs) })
+}
+
+fn at_rest(event: &str, scenes: usize, failed: &[PathBuf], draft: &[PathBuf]) -> Value {
+    json!({ "event": event, "scenes": scenes, "failed": texts(failed), "draft": texts(draft) })
 }
 
 fn with_fault(event: &str, scene: &Path, fault: &Fault) -> Value {
@@ -172,21 +190,24 @@ mod tests {
         let all = [
             Event::Preview { url: "http://127.0.0.1:1/".into(), notice: None },
             Event::Watching { paths: files.clone(), scenes: 1 },
+            Event::Waiting { scene: scene.clone(), outputs: files.clone() },
             Event::Polling { folder: scene.clone(), reason: "nfs".into(), seconds: 2.0 },
             Event::Unwatched { path: scene.clone(), reason: "no".into() },
             Event::Found { scene: scene.clone() },
             Event::Changed { scene: scene.clone(), files: files.clone() },
+            Event::Moved { scene: scene.clone(), glb: scene.clone() },
+            Event::Lost { scene: scene.clone(), files: files.clone() },
             Event::Unchanged { scene: scene.clone(), files: files.clone() },
             Event::Removed { scene: scene.clone() },
             Event::Baking { scene: scene.clone() },
             Event::Drafted { scene: scene.clone(), done: Done::default() },
             Event::Overtaken { scene: scene.clone() },
             Event::Baked { scene: scene.clone(), done: Done::default() },
-            Event::Failed { scene: scene.clone(), fault: fault.clone() },
+            Event::Failed { scene: scene.clone(), fault: fault.clone(), draft: None },
             Event::Current { scene: scene.clone(), outputs: files.clone() },
             Event::Unshown { scene, fault },
-            Event::Idle { scenes: 1, failed: files.clone() },
-            Event::Stopped { scenes: 1, failed: files },
+            Event::Idle { scenes: 1, failed: files.clone(), draft: files.clone() },
+            Event::Stopped { scenes: 1, failed: files, draft: Vec::new() },
         ];
         let mut documented = documented();
         for event in all {
@@ -195,6 +216,8 @@ mod tests {
             let own: Vec<&String> = json.as_object().unwrap().keys().filter(|k| *k != "event").collect();
             assert_eq!(own, fields.iter().collect::<Vec<_>>(), "{json}");
         }
+        // The tool's own, told where no watch begins.
+        assert!(documented.remove("usage").is_some());
         assert!(documented.is_empty(), "documented and never told: {documented:?}");
     }
 }

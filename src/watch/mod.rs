@@ -4,8 +4,8 @@
 //! |---|---|
 //! | `source` | tells that something may have changed: the operating system, or `poll`, which looks every so often |
 //! | `batch` | waits until a burst of changes is over |
-//! | `depend` | what a bake follows from, by content: a `Look` |
-//! | `book` | the scenes; which are to be baked follows from their looks |
+//! | `depend`, `digest` | what a bake follows from, by content: a `Look` |
+//! | `book`, `item` | the scenes; which are to be baked follows from their looks |
 //! | `folders` | which folders are watched |
 //! | `place`, `stamp` | the real names of paths; what tells two files apart without reading them |
 //! | `run` | the loop: one bake at a time, stopped when it is overtaken |
@@ -18,8 +18,10 @@
 mod batch;
 mod book;
 mod depend;
+mod digest;
 pub mod event;
 mod folders;
+mod item;
 mod place;
 mod poll;
 mod run;
@@ -28,7 +30,7 @@ mod stamp;
 
 use std::path::PathBuf;
 use std::sync::Arc;
-use std::sync::atomic::AtomicBool;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{self, Receiver, Sender};
 use std::time::Duration;
 
@@ -140,15 +142,19 @@ pub struct Watch {
     source: Box<dyn Source>,
     sender: Sender<Message>,
     receiver: Receiver<Message>,
+    /// Nothing large is read any more.
+    ending: Arc<AtomicBool>,
 }
 
 /// Ends a watch, from any thread.
 #[derive(Clone)]
-pub struct Stopper(Sender<Message>);
+pub struct Stopper(Sender<Message>, Arc<AtomicBool>);
 
 impl Stopper {
     /// Stops the running bake, and then the watch.
     pub fn stop(&self) {
+        // The watch may be reading a large file, and hears of nothing before it has.
+        self.1.store(true, Ordering::Relaxed);
         // There is nobody to stop where nobody receives.
         drop(self.0.send(Message::Stop));
     }
@@ -167,11 +173,11 @@ impl Watch {
         let told = sender.clone();
         // After the end there is nobody to tell.
         let source = source(Arc::new(move |hint| drop(told.send(Message::Hint(hint)))));
-        Self { options, interval, source, sender, receiver }
+        Self { options, interval, source, sender, receiver, ending: Arc::default() }
     }
 
     pub fn stopper(&self) -> Stopper {
-        Stopper(self.sender.clone())
+        Stopper(self.sender.clone(), self.ending.clone())
     }
 
     /// Bakes what is there, and again whatever changes, until it is stopped. `tell` hears everything, in order, on this

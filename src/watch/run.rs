@@ -13,7 +13,7 @@ use std::sync::mpsc::{Receiver, Sender};
 use std::thread::Scope;
 use std::time::{Duration, Instant};
 
-use luxel_scene::Silent;
+use luxel_scene::Progress;
 
 use super::batch::{Batch, Hint, Hints};
 use super::book::Book;
@@ -36,7 +36,7 @@ const BEAT: Duration = Duration::from_secs(2);
 const ROUNDS: usize = 8;
 
 pub fn run(watch: Watch, baker: &dyn Baker, tell: &mut dyn FnMut(Event)) -> Ending {
-    let Watch { options, interval, source, sender, receiver } = watch;
+    let Watch { options, interval, source, sender, receiver, ending } = watch;
     let paths = options.paths.iter().map(|(path, _)| path.clone()).collect();
     let (worker, store) = (options.worker.clone(), options.store.clone());
     std::thread::scope(|scope| {
@@ -49,7 +49,8 @@ pub fn run(watch: Watch, baker: &dyn Baker, tell: &mut dyn FnMut(Event)) -> Endi
             store,
             interval,
             start: Instant::now(),
-            book: Book::new(options),
+            book: Book::new(options, ending.clone()),
+            ending,
             folders: Folders::new(source),
             batch: Batch::default(),
             running: None,
@@ -61,8 +62,8 @@ pub fn run(watch: Watch, baker: &dyn Baker, tell: &mut dyn FnMut(Event)) -> Endi
         };
         course.begin(paths);
         course.go(&receiver);
-        let (scenes, failed) = (course.book.scenes(), course.book.failed());
-        (course.voice.tell)(Event::Stopped { scenes, failed: failed.clone() });
+        let (scenes, failed, draft) = (course.book.scenes(), course.book.failed(), course.book.drafts());
+        (course.voice.tell)(Event::Stopped { scenes, failed: failed.clone(), draft });
         Ending { failed }
     })
 }
@@ -111,7 +112,20 @@ struct Course<'s, 'e, 't> {
     /// There may be more to do at once, after what has been heard meanwhile.
     hasty: bool,
     stopping: bool,
+    /// Somebody has asked for the end, whether or not that was heard here.
+    ending: Arc<AtomicBool>,
     voice: Voice<'t>,
+}
+
+/// Whoever asks for the end does not wait for what is being read.
+struct Until<'a>(&'a AtomicBool);
+
+impl Progress for Until<'_> {
+    fn begin(&self, _: &'static str, _: u64) {}
+    fn advance(&self, _: u64) {}
+    fn is_cancelled(&self) -> bool {
+        self.0.load(Ordering::Relaxed)
+    }
 }
 
 impl Course<'_, '_, '_> {
@@ -123,6 +137,9 @@ impl Course<'_, '_, '_> {
         let voice = &mut self.voice;
         self.book.survey(false, &mut |event| voice.say(event));
         voice.say(Event::Watching { paths, scenes: self.book.scenes() });
+        for (scene, report) in self.book.reports() {
+            voice.say(Event::Waiting { scene, outputs: report.into_iter().collect() });
+        }
         self.arm(&Hints::default());
     }
 
@@ -181,7 +198,9 @@ impl Course<'_, '_, '_> {
             Message::Drafted(done) => self.drafted(done),
             Message::Ended(result) => self.ended(result),
             Message::Hint(hint) => {
-                let Hint::At { path, .. } = &hint else { return self.batch.add(self.now(), hint) };
+                let (Hint::At { path, .. } | Hint::Again(path)) = &hint else {
+                    return self.batch.add(self.now(), hint);
+                };
                 if !self.book.concerns(path) {
                     return;
                 }
@@ -198,7 +217,10 @@ impl Course<'_, '_, '_> {
     fn overtake(&mut self) {
         let Some(running) = self.running.as_mut().filter(|r| !r.overtaken && !r.hinted.is_empty()) else { return };
         let hinted = std::mem::take(&mut running.hinted);
-        if self.book.glance_after(&running.scene, &hinted).is_some_and(|look| look != running.look) {
+        // A large file is not read where a look at its length will do: 100 ms are all there is.
+        if self.book.are_others(&hinted)
+            || self.book.glance_after(&running.scene, &hinted).is_some_and(|look| look != running.look)
+        {
             running.overtaken = true;
             running.cancelled.store(true, Ordering::Relaxed);
         }
@@ -207,7 +229,7 @@ impl Course<'_, '_, '_> {
     /// A burst is over: looks at what it hinted at.
     fn attend(&mut self, hints: &Hints) {
         let (voice, untold) = (&mut self.voice, &mut self.untold);
-        self.book.attend(&hints.paths, hints.everywhere, &mut |event| match &event {
+        self.book.attend(hints, &mut |event| match &event {
             // What was not said need not be taken back.
             Event::Current { scene, .. } if untold.remove(scene).is_some() => {}
             _ => voice.say(event),
@@ -237,7 +259,8 @@ impl Course<'_, '_, '_> {
                 return;
             }
             let voice = &mut self.voice;
-            self.book.attend(&BTreeMap::new(), true, &mut |event| voice.say(event));
+            let everywhere = Hints { everywhere: true, ..Hints::default() };
+            self.book.attend(&everywhere, &mut |event| voice.say(event));
         }
         self.batch.add(self.now(), Hint::Everywhere);
     }
@@ -247,7 +270,8 @@ impl Course<'_, '_, '_> {
         let next = self.book.next().and_then(|scene| Some((scene.to_path_buf(), self.book.item(scene)?.look.clone())));
         let Some((scene, look)) = next else {
             if self.untold.is_empty() && !self.voice.is_idle {
-                self.voice.say(Event::Idle { scenes: self.book.scenes(), failed: self.book.failed() });
+                let (scenes, failed, draft) = (self.book.scenes(), self.book.failed(), self.book.drafts());
+                self.voice.say(Event::Idle { scenes, failed, draft });
                 self.voice.is_idle = true;
             }
             return false;
@@ -263,6 +287,9 @@ impl Course<'_, '_, '_> {
                     kept: self.kept.clone(),
                 };
                 if !self.adopt(&request, &look) {
+                    if self.ending.load(Ordering::Relaxed) {
+                        return false;
+                    }
                     self.bake(request, look);
                 }
             }
@@ -278,7 +305,8 @@ impl Course<'_, '_, '_> {
         if !self.book.is_fresh(scene) {
             return false;
         }
-        let Ok(State::Current(now)) = current::check(scene, outputs, settings, &Silent) else { return false };
+        let checked = current::check(scene, outputs, settings, &Until(&self.ending));
+        let Ok(State::Current(now)) = checked else { return false };
         self.book.succeeded(scene, look, &now.inputs, now.files.clone());
         self.untold.remove(scene);
         self.voice.say(Event::Current { scene: scene.clone(), outputs: now.files });
@@ -356,7 +384,8 @@ impl Course<'_, '_, '_> {
                 self.untold.remove(&scene);
                 // It may have been mended meanwhile.
                 if let Some(fault) = self.book.fault(&scene).cloned() {
-                    self.voice.say(Event::Failed { scene, fault });
+                    let draft = self.book.kept(&scene);
+                    self.voice.say(Event::Failed { scene, fault, draft });
                 }
             }
         }

@@ -46,20 +46,22 @@ pub struct System {
     /// None where the user wants polling alone, or the system has nothing to offer.
     native: Result<RecommendedWatcher, String>,
     poll: Poll,
+    /// The user wants polling alone, and need not be told of it.
+    is_asked: bool,
 }
 
 impl System {
     /// Tells `teller`; looks every `interval` where it has to, or everywhere if `poll` asks for it.
     pub fn new(poll: Option<Duration>, teller: Teller) -> Self {
         let native = match poll {
-            Some(_) => Err("--poll asks for it".into()),
+            Some(_) => Err(String::new()),
             None => {
                 let teller = teller.clone();
                 let watcher = notify::recommended_watcher(move |event| hints(event, &*teller));
                 watcher.map_err(|e| format!("the system does not tell of changes: {e}"))
             }
         };
-        Self { native, poll: Poll::new(poll.unwrap_or(POLL), teller) }
+        Self { native, poll: Poll::new(poll.unwrap_or(POLL), teller), is_asked: poll.is_some() }
     }
 }
 
@@ -83,6 +85,7 @@ impl Source for System {
         match told {
             Ok(()) => Watched::Told,
             Err(reason) => match self.poll.watch(folder) {
+                Ok(()) if self.is_asked => Watched::Told,
                 Ok(()) => Watched::Polled(reason),
                 Err(error) if error.kind() == std::io::ErrorKind::NotFound => Watched::Gone,
                 Err(error) => Watched::Not(error.to_string()),
@@ -181,19 +184,18 @@ mod tests {
     }
 
     #[test]
-    fn a_missing_folder_is_gone_and_polling_says_why() {
+    fn a_missing_folder_is_gone_and_polling_that_was_asked_for_is_not_news() {
         let folder = tempfile::tempdir().unwrap();
         let teller: Teller = Arc::new(|_| {});
         for poll in [None, Some(POLL)] {
             let mut system = System::new(poll, teller.clone());
             assert_eq!(system.watch(&folder.path().join("none")), Watched::Gone);
-            let watched = system.watch(folder.path());
-            assert_eq!(
-                matches!(&watched, Watched::Polled(why) if why.contains("--poll")),
-                poll.is_some(),
-                "{watched:?}"
-            );
+            assert_eq!(system.watch(folder.path()), Watched::Told);
             system.unwatch(folder.path());
         }
+        // A system that tells nothing is a reason to be told.
+        let native = Err("nobody tells".to_owned());
+        let mut system = System { native, poll: Poll::new(POLL, teller), is_asked: false };
+        assert_eq!(system.watch(folder.path()), Watched::Polled("nobody tells".into()));
     }
 }

@@ -7,7 +7,7 @@ use std::time::SystemTime;
 /// Two equal stamps mean the same content, except where a file system's clock is coarse: FAT counts two seconds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Stamp {
-    length: u64,
+    pub length: u64,
     modified: Option<SystemTime>,
     inode: Inode,
 }

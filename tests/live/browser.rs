@@ -8,13 +8,14 @@ use std::time::Instant;
 
 use glam::{DAffine3, DQuat, DVec3};
 use image::Rgb;
-use luxel::live::{Live, Status};
+use luxel::live::Status;
 use serde_json::Value;
 
 use super::{baked, cornell, start};
 
-/// Said past the test's captured output: who runs all tests is to see it.
+/// Said past the test's captured output: who runs all tests is to see it. Where LUXEL_NO_SKIP is 1 it is a failure.
 pub fn skipped(what: &str) {
+    assert!(std::env::var_os("LUXEL_NO_SKIP").is_none_or(|value| value != "1"), "LUXEL_NO_SKIP: {what}");
     // Nobody may be listening.
     let _ = writeln!(std::io::stderr(), "SKIPPED: {what}");
 }
@@ -32,7 +33,7 @@ fn program(names: &[&str]) -> Option<PathBuf> {
 }
 
 /// Node, and a Chromium, where the page can be looked at; what is missing otherwise.
-fn browser() -> Result<(PathBuf, PathBuf), &'static str> {
+pub fn browser() -> Result<(PathBuf, PathBuf), &'static str> {
     let node = program(&["node"]).ok_or("there is no Node")?;
     let named = std::env::var_os("LUXEL_CHROMIUM").map(PathBuf::from);
     let chromium = named.or_else(|| program(&["chromium", "chromium-browser", "google-chrome"]));
@@ -44,18 +45,19 @@ fn browser() -> Result<(PathBuf, PathBuf), &'static str> {
 }
 
 /// A browser that is ended whatever happens.
-struct Browser(Child, BufReader<std::process::ChildStdout>);
+pub struct Browser(Child, BufReader<std::process::ChildStdout>);
 
 impl Browser {
-    fn open(live: &Live, shots: &Path, (node, chromium): (PathBuf, PathBuf)) -> Self {
+    /// Runs a script of the page's tests with an address.
+    pub fn open(script: &str, url: &str, shots: &Path, (node, chromium): (PathBuf, PathBuf)) -> Self {
         let mut command = Command::new(node);
-        command.arg(sources().join("test/browser.mjs")).arg(live.url()).arg(shots).arg(chromium);
+        command.arg(sources().join("test").join(script)).arg(url).arg(shots).arg(chromium);
         let mut child = command.stdin(Stdio::null()).stdout(Stdio::piped()).spawn().unwrap();
         let output = BufReader::new(child.stdout.take().unwrap());
         Self(child, output)
     }
 
-    fn event(&mut self, name: &str) -> Value {
+    pub fn event(&mut self, name: &str) -> Value {
         let mut line = String::new();
         self.1.read_line(&mut line).unwrap();
         let event: Value = serde_json::from_str(&line).unwrap_or_else(|e| panic!("{e}: {line:?}"));
@@ -73,7 +75,7 @@ impl Drop for Browser {
 }
 
 /// Mean colour of a part of a picture, given by shares of its sides.
-fn mean(picture: &image::RgbImage, x: [f64; 2], y: [f64; 2]) -> [f64; 3] {
+pub fn mean(picture: &image::RgbImage, x: [f64; 2], y: [f64; 2]) -> [f64; 3] {
     let (width, height) = (f64::from(picture.width()), f64::from(picture.height()));
     let inside = |(px, py, _): &(u32, u32, &Rgb<u8>)| {
         (x[0]..x[1]).contains(&(f64::from(*px) / width)) && (y[0]..y[1]).contains(&(f64::from(*py) / height))
@@ -107,7 +109,7 @@ fn the_page_shows_the_cornell_box_and_a_changed_lamp_without_being_loaded_again(
     std::fs::create_dir(&other).unwrap();
     let (second, report) = baked(&within, &other, 64);
     // Who opens the page before anything was baked sees it as well.
-    let mut browser = Browser::open(&live, &shots, tools);
+    let mut browser = Browser::open("browser.mjs", &live.url(), &shots, tools);
     browser.event("waiting");
     live.changed(&first, &first_report).unwrap();
     live.changed(&second, &report).unwrap();

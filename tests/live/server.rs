@@ -2,14 +2,17 @@
 
 use std::io::Read;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr, TcpStream};
+use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use luxel::live::{Live, Options, Status};
 use luxel::watch::event::{Done, Event, Fault};
+use luxel_export::report::SceneInfo;
+use luxel_export::{Depth, Effort, Files, Lightmap, OutputSet, Report};
 use serde_json::Value;
 use tempfile::TempDir;
 
-use super::tool::client::{Client, LIMIT};
+use super::tool::client::{Client, LIMIT, Listener};
 use super::{baked, cornell, start};
 
 /// A folder that could be a page, with something beside it that is nobody's business.
@@ -19,6 +22,16 @@ fn page() -> TempDir {
         std::fs::write(folder.path().join(name), name).unwrap();
     }
     folder
+}
+
+/// What is told next when nothing of it is still to come.
+fn settled(listener: &mut Listener) -> Vec<Value> {
+    loop {
+        let told = listener.told();
+        if told.iter().all(|scene| scene["outputs"]["pending"] != true) {
+            return told;
+        }
+    }
 }
 
 fn client(live: &Live) -> Client {
@@ -196,7 +209,7 @@ fn events_tell_how_scenes_stand_and_what_is_new() {
 
     let (scene, report) = baked(&cornell([17.0, 12.0, 4.0]), folder.path(), 32);
     live.changed(&scene, &report).unwrap();
-    let first = early.told().remove(0);
+    let first = settled(&mut early).remove(0);
     assert_eq!(client(&live).listen().told()[..], *std::slice::from_ref(&first), "who comes later hears the same");
     assert_eq!(first["status"]["state"], "current");
     let outputs = &first["outputs"];
@@ -210,14 +223,14 @@ fn events_tell_how_scenes_stand_and_what_is_new() {
     // Another lamp: the layout stays, what shines does not.
     let (scene, report) = baked(&cornell([4.0, 12.0, 17.0]), folder.path(), 32);
     live.changed(&scene, &report).unwrap();
-    let second = early.told().remove(0);
+    let second = settled(&mut early).remove(0);
     assert!(second["revision"].as_u64() > first["revision"].as_u64());
     assert_eq!(second["outputs"]["layout"], first["outputs"]["layout"]);
     assert_ne!(second["outputs"]["content"], first["outputs"]["content"]);
     assert_ne!(second["outputs"]["lightmaps"], first["outputs"]["lightmaps"]);
     // The same light again is nothing new.
     live.changed(&scene, &report).unwrap();
-    assert_eq!(early.told()[0]["outputs"], second["outputs"]);
+    assert_eq!(settled(&mut early)[0]["outputs"], second["outputs"]);
 
     live.tell(&scene, Status::Failed { error: "broken".into(), causes: vec!["no mesh".into()] });
     let told = early.told().remove(0);
@@ -234,21 +247,22 @@ fn what_a_watch_tells_is_shown() {
     let mut listener = client(&live).listen();
     listener.told();
     let outputs = vec![folder.path().join("baked/level.glb"), report];
-    let done = Done { outputs: outputs.clone(), ..Done::default() };
+    let (done, waiting) = (Done { outputs: outputs.clone(), ..Done::default() }, outputs[1..].to_vec());
     let fault = Fault { error: "broken".into(), causes: Vec::new() };
     for (event, state, shows) in [
         (Event::Found { scene: scene.clone() }, "waiting", false),
         (Event::Baking { scene: scene.clone() }, "baking", false),
         (Event::Drafted { scene: scene.clone(), done: done.clone() }, "baking", true),
         (Event::Baked { scene: scene.clone(), done }, "current", true),
-        (Event::Failed { scene: scene.clone(), fault }, "failed", true),
+        (Event::Failed { scene: scene.clone(), fault, draft: Some(false) }, "failed", true),
         (Event::Overtaken { scene: scene.clone() }, "waiting", true),
-        (Event::Idle { scenes: 1, failed: Vec::new() }, "current", true),
+        (Event::Idle { scenes: 1, failed: Vec::new(), draft: Vec::new() }, "current", true),
         (Event::Current { scene: scene.clone(), outputs }, "current", true),
-        (Event::Removed { scene: scene.clone() }, "removed", true),
+        (Event::Removed { scene: scene.clone() }, "removed", false),
+        (Event::Waiting { scene: scene.clone(), outputs: waiting }, "waiting", true),
     ] {
         live.follow(&event).unwrap();
-        let told = listener.told();
+        let told = settled(&mut listener);
         assert_eq!((told.len(), &told[0]["status"]["state"]), (1, &state.into()), "{event:?}");
         assert_eq!(told[0]["outputs"].is_object(), shows, "{event:?}");
     }
@@ -258,7 +272,7 @@ fn what_a_watch_tells_is_shown() {
     assert!(error.to_string().contains("none.bake.json"), "{error}");
     let told = listener.told();
     assert!(told[0]["status"]["state"] == "current" && told[0]["outputs"].is_object(), "{told:?}");
-    live.follow(&Event::Idle { scenes: 1, failed: Vec::new() }).unwrap();
+    live.follow(&Event::Idle { scenes: 1, failed: Vec::new(), draft: Vec::new() }).unwrap();
     live.tell(&scene, Status::Waiting);
     assert_eq!(listener.told()[0]["status"]["state"], "waiting", "of the others nothing is told");
 }
@@ -272,4 +286,69 @@ fn a_page_that_was_not_built_says_what_to_do() {
     assert_eq!(status, 503);
     assert!(String::from_utf8(body).unwrap().contains("npm run build"));
     assert!(client(&live).listen().told().is_empty(), "the rest works");
+}
+
+/// How long it takes from the outputs' being in place until a page that listens has the texels, as a figure to read; that
+/// all readers get the same, and each of two lights in turn.
+#[test]
+fn many_readers_get_the_texels_of_a_large_atlas() {
+    let page = page();
+    let folder = tempfile::tempdir().unwrap();
+    let scene = folder.path().join("a.gltf");
+    let live = start(page.path());
+    let mut listener = client(&live).listen();
+    listener.told();
+    for (n, side) in [1024, 1024, 2048, 2048].into_iter().enumerate() {
+        let report = atlas(&scene, side, n as f32);
+        let begin = Instant::now();
+        live.changed(&scene, &report).unwrap();
+        let told = listener.told().remove(0);
+        let heard = begin.elapsed();
+        let address = told["outputs"]["lightmaps"][0]["texels"].as_str().unwrap().to_owned();
+        let (status, first) = client(&live).get(&address);
+        let took = begin.elapsed();
+        eprintln!(
+            "{side}²: told after {:.1} ms, there after {:.0} ms",
+            1e3 * heard.as_secs_f64(),
+            1e3 * took.as_secs_f64()
+        );
+        assert_eq!((status, first.len()), (200, 16 + 8 * (side * side) as usize));
+        std::thread::scope(|scope| {
+            for _ in 0..4 {
+                scope.spawn(|| assert!(client(&live).get(&address) == (200, first.clone())));
+            }
+        });
+        // The .glb has been looked into meanwhile, or is being.
+        if told["outputs"]["pending"] == true {
+            assert_eq!(settled(&mut listener)[0]["outputs"]["lightmaps"], told["outputs"]["lightmaps"]);
+        }
+    }
+}
+
+/// Writes outputs with light that is as hard to pack as that of a bake; returns the report.
+fn atlas(scene: &Path, side: u32, brighter: f32) -> PathBuf {
+    let texels = side as usize * side as usize;
+    let noise = |i: usize| ((i as u32).wrapping_mul(2_654_435_761) >> 20) as f32 / 4096.0;
+    let light =
+        (0..texels).map(|i| glam::Vec3::splat(100.0 + brighter + (i % side as usize) as f32 + noise(i))).collect();
+    let map = Lightmap::new(side, side, light, vec![1.0; texels]).unwrap();
+    let set = OutputSet::new(scene, None, None).unwrap();
+    std::fs::create_dir_all(set.folder()).unwrap();
+    let glb = luxel_assets::glb::write(&luxel_assets::cornell()).unwrap();
+    let (depth, effort) = (Depth::Half, Effort::Small);
+    let files = Files { lightmaps: &[map], bounds: &[], depth, effort, key: "k", preview_png: None, glb: &glb };
+    set.write(&files, &mut Report::new(SceneInfo::default()), &luxel_scene::Silent).unwrap();
+    set.report()
+}
+
+#[test]
+fn other_methods_hear_which_there_are() {
+    let page = page();
+    let live = start(page.path());
+    let mut stream = client(&live).connect();
+    std::io::Write::write_all(&mut stream, format!("PUT / HTTP/1.1\r\nHost: {}\r\n\r\n", live.address()).as_bytes())
+        .unwrap();
+    let mut answer = String::new();
+    stream.read_to_string(&mut answer).unwrap();
+    assert!(answer.starts_with("HTTP/1.1 405 ") && answer.contains("\r\nAllow: GET, HEAD\r\n"), "{answer}");
 }

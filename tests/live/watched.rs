@@ -5,13 +5,19 @@ use std::path::Path;
 
 use serde_json::Value;
 
+use super::browser::{self, Browser};
 use super::tool::client::{Client, Listener};
 use super::tool::watcher::Tool;
 use super::{cornell, save};
 
 /// A folder with the box, and a watch of it with a preview; the event that tells of it.
 fn watched(folder: &Path) -> (Tool, Client, Value) {
-    let mut tool = Tool::new(folder, &[".", "--preview", "--port", "0"]);
+    watched_with(folder, &[])
+}
+
+/// The same, with further options.
+fn watched_with(folder: &Path, options: &[&str]) -> (Tool, Client, Value) {
+    let mut tool = Tool::new(folder, &[&[".", "--preview", "--port", "0"], options].concat());
     let told = tool.next();
     assert_eq!(told["event"], "preview", "before all others");
     let address = told["url"].as_str().unwrap().trim_start_matches("http://").trim_end_matches('/');
@@ -25,7 +31,7 @@ fn current(listener: &mut Listener, old: &Value) -> Value {
     loop {
         let told = listener.told();
         let now = told.iter().rfind(|s| s["status"]["state"] == "current" && s["outputs"] != *old);
-        if let Some(scene) = now.filter(|s| s["outputs"].is_object()) {
+        if let Some(scene) = now.filter(|s| s["outputs"]["pending"] == false) {
             return scene["outputs"].clone();
         }
     }
@@ -104,6 +110,79 @@ fn what_was_baked_by_an_earlier_watch_is_shown_without_a_bake() {
     assert_eq!(after, before);
     lightmap(client, &after, folder.path());
     end(tool);
+}
+
+#[cfg(unix)]
+#[test]
+fn the_page_follows_a_watch_without_being_loaded_again() {
+    let tools = match browser::browser() {
+        Ok(tools) => tools,
+        Err(missing) => return browser::skipped(&format!("the page did not follow a watch: {missing}")),
+    };
+    let folder = tempfile::tempdir().unwrap();
+    save(&cornell([17.0, 12.0, 4.0]), &folder.path().join("box.glb"));
+    let (mut tool, _, told) = watched(folder.path());
+    if !told["notice"].is_null() {
+        return browser::skipped("the page did not follow a watch: it was not built when luxel was");
+    }
+    let shots = tempfile::tempdir().unwrap();
+    tool.wait("idle");
+    let mut page = Browser::open("follow.mjs", told["url"].as_str().unwrap(), shots.path(), tools);
+    page.event("shown");
+    save(&cornell([3.0, 9.0, 20.0]), &folder.path().join("box.glb"));
+    let done = page.event("done");
+    assert_eq!((&done["kept"], &done["trouble"]), (&"since the beginning".into(), &Value::Null));
+    let back = |name: &str| {
+        let picture = image::open(shots.path().join(format!("{name}.png"))).unwrap().to_rgb8();
+        browser::mean(&picture, [0.36, 0.65], [0.25, 0.35])
+    };
+    let (first, second) = (back("first"), back("second"));
+    assert!(first[0] > 1.3 * first[2] && second[2] > 1.3 * second[0], "yellow, then blue: {first:?} {second:?}");
+    tool.signal("-TERM");
+    tool.wait("stopped");
+    assert_eq!(tool.end(), Some(0));
+}
+
+#[cfg(unix)]
+#[test]
+fn broken_and_stale_scenes_are_there_from_the_start() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    save(&cornell([17.0, 12.0, 4.0]), &at("a.glb"));
+    save(&cornell([17.0, 12.0, 4.0]), &at("b.glb"));
+    super::tool::quick(&["bake", "a.glb", "b.glb"], folder.path()).ended(0);
+    std::fs::write(at("a.glb"), "glTF but not for long").unwrap();
+    // A bake of b, which comes first, would take minutes; c is not reached, and was never baked.
+    std::fs::write(at("luxel.toml"), "refresh = 100000").unwrap();
+    save(&cornell([3.0, 9.0, 20.0]), &at("c.glb"));
+    let (mut tool, client, _) = watched_with(folder.path(), &["--no-draft"]);
+    while tool.wait("started")["stage"] != "refresh" {}
+    let mut told = client.listen().told();
+    told.sort_by_key(|scene| scene["name"].to_string());
+    let seen: Vec<_> = told.iter().map(|s| (s["name"].as_str().unwrap(), s["outputs"].is_object())).collect();
+    assert_eq!(seen, [("a.glb", true), ("b.glb", true), ("c.glb", false)]);
+    assert_eq!(told[2]["status"]["state"], "waiting");
+    for scene in &told[..2] {
+        assert_eq!(client.get(scene["outputs"]["glb"].as_str().unwrap()).0, 200, "{scene}");
+    }
+    tool.signal("-TERM");
+    tool.wait("stopped");
+}
+
+#[cfg(unix)]
+#[test]
+fn who_wants_quiet_is_told_where_the_page_is() {
+    use std::io::{BufRead, BufReader};
+    use std::process::{Command, Stdio};
+    let folder = tempfile::tempdir().unwrap();
+    let mut command = Command::new(env!("CARGO_BIN_EXE_luxel"));
+    command.args(["watch", ".", "--quiet", "--preview"]).current_dir(folder.path());
+    let mut child = command.stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
+    let mut line = String::new();
+    BufReader::new(child.stderr.take().unwrap()).read_line(&mut line).unwrap();
+    child.kill().unwrap();
+    child.wait().unwrap();
+    assert!(line.starts_with("preview: http://127.0.0.1:"), "{line}");
 }
 
 #[test]

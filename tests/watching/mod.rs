@@ -6,7 +6,7 @@ use std::sync::atomic::Ordering;
 use std::sync::mpsc::{self, Receiver};
 use std::sync::{Arc, Condvar, Mutex};
 use std::thread::JoinHandle;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use luxel::settings::{Layer, Origin};
 use luxel::watch::event::{Done, Event};
@@ -85,6 +85,13 @@ impl Bench {
             }
             passed.push(event);
         }
+    }
+
+    /// Whatever is told within a time.
+    pub fn within(&mut self, time: Duration) -> Vec<Event> {
+        let until = Instant::now() + time;
+        let next = || self.events.recv_timeout(until.saturating_duration_since(Instant::now())).ok();
+        std::iter::from_fn(next).collect()
     }
 
     /// Waits until everything is current; returns the scenes that failed.

@@ -1,5 +1,6 @@
 // The page: what the server tells goes to the viewer, what a person asks for too.
 
+import { List } from './list.js';
 import { Shown } from './shown.js';
 import { Viewer } from './viewer.js';
 import { VIEWS, common } from './shader.js';
@@ -17,11 +18,20 @@ const LEGENDS = {
     .map(([kind, text]) => `<div><i class="${kind}"></i>${text}</div>`).join(''),
 };
 
-const viewer = new Viewer(at('picture'));
-const scenes = new Map();
+const viewer = open();
+const list = new List();
 const shown = new Shown(viewer, onShown);
 shown.onDrawn = onDrawn;
-let selected = null;
+
+function open() {
+  try {
+    return new Viewer(at('picture'));
+  } catch (error) {
+    at('trouble').hidden = false;
+    at('trouble').textContent = `this browser draws nothing in three dimensions: WebGL 2 is switched off or not to be had\n${error.message}`;
+    throw error;
+  }
+}
 
 const figure = (x) => (x >= 1000 ? x.toFixed(0) : x.toPrecision(3));
 
@@ -64,8 +74,12 @@ function onDrawn(scene, isLevel, isOther) {
 }
 
 function describe() {
-  const scene = scenes.get(selected);
-  if (!scene) return;
+  const scene = list.scenes.get(list.selected);
+  if (!scene) {
+    at('name').textContent = 'no scene';
+    at('status').textContent = '';
+    return trouble('scene', null);
+  }
   at('name').textContent = scene.name;
   const { state, error, causes = [] } = scene.status;
   const facts = scene.outputs?.facts;
@@ -79,10 +93,13 @@ function describe() {
     if (facts.warnings.length) lines.push(`${facts.warnings.length} warnings in the report`);
   }
   if (state === 'baking') lines.push('baking …');
+  if (state === 'waiting' && facts) lines.push('waiting: this is what was baked last');
   if (state !== 'failed' && !facts) lines.push('waiting for its first bake');
-  if (state === 'removed') lines.push('the scene file has gone');
+  if (shown.tooLarge.length) {
+    lines.push(`more than 8192 × 8192 texels: shown by the 8-bit pictures of the .glb (page ${shown.tooLarge.join(', ')})`);
+  }
   at('status').textContent = lines.join('\n');
-  trouble('scene', state === 'failed' ? [`${scene.name} cannot be baked as it is now${facts ? '; this is its last good bake' : ''}`, error, ...causes].join('\n') : null);
+  trouble('scene', state === 'failed' ? [`${scene.name} cannot be baked as it is now${facts ? `; this is ${facts.draft ? 'a draft' : 'its last good bake'}` : ''}`, error, ...causes].join('\n') : null);
 }
 
 // What is wrong, by whom it concerns; the server's silence is told before a scene's fault.
@@ -98,35 +115,48 @@ async function follow(scene) {
   try {
     await shown.follow(scene);
     trouble('page', null);
+    describe();
   } catch (error) {
     console.error(error);
     trouble('page', `the page cannot show what was baked: ${error.message}`);
   }
 }
 
+// What is selected is on show, as it is now.
 function select(number) {
-  selected = number;
-  at('scenes').value = number;
+  list.selected = number;
+  const scene = list.choose();
+  at('scenes').value = list.selected;
   describe();
-  follow(scenes.get(number));
+  if (scene) follow(scene);
+  else shown.clear();
+}
+
+function listed() {
+  at('scenes').replaceChildren(...[...list.scenes.values()].map(({ scene: number, path }) => new Option(path, number)));
+  at('scenes').hidden = list.scenes.size < 2;
+  at('scenes').value = list.selected;
 }
 
 function onScene(scene) {
-  const known = scenes.get(scene.scene);
-  scene.heard = performance.now();
-  // Whoever starts luxel anew at the same port counts from the beginning.
-  scenes.set(scene.scene, scene);
-  if (!known || known.path !== scene.path) {
-    const options = [...scenes.values()].map(({ scene: number, path }) => new Option(path, number));
-    at('scenes').replaceChildren(...options);
-    at('scenes').hidden = scenes.size < 2;
-    if (selected !== null) at('scenes').value = selected;
-  }
-  if (selected === null) select(scene.scene);
-  else if (selected === scene.scene) {
-    describe();
-    follow(scene);
-  }
+  const known = list.scenes.get(scene.scene);
+  // What is told of the same files for the second time was heard of before.
+  const isMore = known?.outputs?.pending && known.outputs.glb === scene.outputs?.glb;
+  scene.heard = isMore ? known.heard : performance.now();
+  const before = list.selected;
+  const isOther = list.take(scene);
+  list.choose();
+  if (isOther) listed();
+  if (list.selected !== before || list.selected === scene.scene) select(list.selected);
+}
+
+// What the server does not know is not there: it may be another one than before.
+function onAll(numbers) {
+  const before = list.selected;
+  if (!list.keep(numbers)) return;
+  list.choose();
+  listed();
+  if (list.selected !== before) select(list.selected);
 }
 
 for (const [i, view] of VIEWS.entries()) {
@@ -138,7 +168,7 @@ for (const [i, view] of VIEWS.entries()) {
 at('exposure').addEventListener('input', (event) => setStops(Number(event.target.value)));
 at('auto').addEventListener('click', expose);
 at('bytes').addEventListener('change', (event) => {
-  shown.setBytes(event.target.checked, scenes.get(selected)).catch((error) => trouble('page', error.message));
+  shown.setBytes(event.target.checked, list.scenes.get(list.selected)).catch((error) => trouble('page', error.message));
 });
 at('scenes').addEventListener('change', (event) => select(Number(event.target.value)));
 window.addEventListener('keydown', (event) => {
@@ -149,4 +179,4 @@ window.addEventListener('keydown', (event) => {
 });
 
 setView('lit');
-listen(onScene, (text) => trouble('server', text));
+listen({ onScene, onAll, onTrouble: (text) => trouble('server', text) });
