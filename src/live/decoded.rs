@@ -121,7 +121,7 @@ mod tests {
     use super::*;
     use crate::live::outputs::Outputs;
     use glam::Vec3;
-    use luxel_export::{Depth, Effort, Files, Lightmap, OutputSet, Report, report::SceneInfo};
+    use luxel_export::{Depth, Effort, Images, Lightmap, OutputSet, Report, report::SceneInfo};
     use luxel_scene::Silent;
     use std::path::Path;
 
@@ -130,9 +130,9 @@ mod tests {
         let set = OutputSet::new(&folder.join("a.gltf"), None, None).unwrap();
         std::fs::create_dir_all(set.folder()).unwrap();
         let (depth, effort) = (Depth::Half, Effort::Small);
-        let files =
-            Files { lightmaps: &[map], bounds: &[], depth, effort, key: "k", preview_png: None, glb: b"no glb" };
-        set.write(&files, &mut Report::new(SceneInfo::default()), &Silent).unwrap();
+        let images = Images { lightmaps: &[map], bounds: &[], depth, effort, key: "k", preview_png: None };
+        let images = set.stage(&images, &Silent).unwrap();
+        set.write(images, b"no glb", &mut Report::new(SceneInfo::default()), &Silent).unwrap();
         Outputs::read(&set.report()).unwrap()
     }
 

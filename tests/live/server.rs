@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 use luxel::live::{Live, Options, Status};
 use luxel::watch::event::{Done, Event, Fault};
 use luxel_export::report::SceneInfo;
-use luxel_export::{Depth, Effort, Files, Lightmap, OutputSet, Report};
+use luxel_export::{Depth, Effort, Images, Lightmap, OutputSet, Report};
 use serde_json::Value;
 use tempfile::TempDir;
 
@@ -336,8 +336,9 @@ fn atlas(scene: &Path, side: u32, brighter: f32) -> PathBuf {
     std::fs::create_dir_all(set.folder()).unwrap();
     let glb = luxel_assets::glb::write(&luxel_assets::cornell()).unwrap();
     let (depth, effort) = (Depth::Half, Effort::Small);
-    let files = Files { lightmaps: &[map], bounds: &[], depth, effort, key: "k", preview_png: None, glb: &glb };
-    set.write(&files, &mut Report::new(SceneInfo::default()), &luxel_scene::Silent).unwrap();
+    let images = Images { lightmaps: &[map], bounds: &[], depth, effort, key: "k", preview_png: None };
+    let images = set.stage(&images, &luxel_scene::Silent).unwrap();
+    set.write(images, &glb, &mut Report::new(SceneInfo::default()), &luxel_scene::Silent).unwrap();
     set.report()
 }
 

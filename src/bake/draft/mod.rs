@@ -70,7 +70,7 @@ fn settings(of: &Settings) -> Settings {
         cut_error: Tolerance(of.cut_error.0.max(0.1)),
         cut_limit: Samples(of.cut_limit.0.min(200)),
         near_rays: Samples(of.near_rays.0.min(8)),
-        shadow_samples: Samples(of.shadow_samples.0.min(64)),
+        shadow_samples: Samples(of.shadow_samples.0.min(16)),
         sky_rays: Samples(of.sky_rays.0.min(SKY_RAYS)),
         ..of.clone()
     }

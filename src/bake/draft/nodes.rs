@@ -195,20 +195,54 @@ fn side_of(level: usize) -> u32 {
 
 fn counts(side: &Side, run: &Range<usize>) -> Vec<usize> {
     let mut counts = Vec::new();
+    // Every second side of the scale is twice another: a chart is looked at for the first of both kinds.
+    let (mut even, mut odd) = (Occupied::new(side, run, side_of(0)), Occupied::new(side, run, side_of(2)));
     // No page is so large that the last of these is too small.
-    for stride in (0..32).map(side_of) {
-        let (width, height) = extent(side, run, stride);
-        let mut is_occupied = vec![false; width * height];
-        for texel in run.clone().filter(|texel| !side.buried[*texel]) {
-            let at = side.cell(texel);
-            is_occupied[(at.y / stride) as usize * width + (at.x / stride) as usize] = true;
+    for level in 0..32 {
+        let occupied = if level == 0 || level % 2 == 1 { &mut even } else { &mut odd };
+        if level != 0 && level != 2 {
+            *occupied = occupied.halved();
         }
-        counts.push(is_occupied.into_iter().filter(|is| *is).count());
-        if width * height == 1 {
+        counts.push(occupied.count());
+        if occupied.cells.len() == 1 {
             break;
         }
     }
     counts
+}
+
+/// Which cells of a chart hold an open texel, row by row.
+struct Occupied {
+    width: usize,
+    cells: Vec<bool>,
+}
+
+impl Occupied {
+    fn new(side: &Side, run: &Range<usize>, stride: u32) -> Self {
+        let (width, height) = extent(side, run, stride);
+        let mut cells = vec![false; width * height];
+        for texel in run.clone().filter(|texel| !side.buried[*texel]) {
+            let at = side.cell(texel);
+            cells[(at.y / stride) as usize * width + (at.x / stride) as usize] = true;
+        }
+        Self { width, cells }
+    }
+
+    /// Of cells that are twice as wide and high.
+    fn halved(&self) -> Self {
+        let width = self.width.div_ceil(2);
+        let mut cells = vec![false; width * (self.cells.len() / self.width).div_ceil(2)];
+        for (y, row) in self.cells.chunks(self.width).enumerate() {
+            for (x, is) in row.iter().enumerate() {
+                cells[y / 2 * width + x / 2] |= is;
+            }
+        }
+        Self { width, cells }
+    }
+
+    fn count(&self) -> usize {
+        self.cells.iter().filter(|is| **is).count()
+    }
 }
 
 /// Cells of a chart in a row and in a column.
@@ -378,6 +412,19 @@ mod tests {
         assert!(open().all(|i| doubled[i] == found[i] * 2.0 + Rgb::ONE));
         let texels = open().map(|i| (place(&side.receiver(i)), found[i].x)).collect();
         (nodes, texels)
+    }
+
+    #[test]
+    fn cells_are_counted_alike_at_every_side() {
+        let scene = floor(false);
+        let (geometry, atlas) = (Geometry::new(&scene), atlas(&scene, 96));
+        let mut side = Side::front(&geometry, &atlas);
+        side.buried.iter_mut().step_by(7).for_each(|buried| *buried = true);
+        let run = runs(&side).remove(0);
+        let counts = counts(&side, &run);
+        let direct = |level: usize| Occupied::new(&side, &run, side_of(level)).count();
+        assert_eq!(counts, (0..counts.len()).map(direct).collect::<Vec<_>>());
+        assert_eq!(counts.last(), Some(&1));
     }
 
     #[test]

@@ -50,13 +50,13 @@ pub enum Visibility {
     /// Shafts and shadow masks.
     #[default]
     Shafts,
-    /// A shadow ray for every point of every light: slow, for comparison.
+    /// A shadow ray for every point of every light: for receivers that are few or far apart, and for comparison.
     Rays,
 }
 
 #[derive(Clone, Copy, Debug)]
 pub struct DirectSettings {
-    /// Points on each light for soft shadows; rounded up to a multiple of 64.
+    /// Points on each light for soft shadows; rounded up to a multiple of 64, but that rays may make do with 16.
     pub samples: u32,
     /// Occluders of a tile that are tested one by one; above it every point of the light is asked for by a segment.
     pub candidates: usize,
@@ -100,7 +100,10 @@ impl<'a> Direct<'a> {
         progress: &dyn Progress,
     ) -> Result<Self, Cancelled> {
         let blocks = settings.samples.clamp(1, 1 << 16).div_ceil(target::LANES as u32);
-        let patterns: Vec<_> = (0..blocks).map(Pattern::new).collect();
+        let patterns: Vec<_> = match settings.visibility {
+            Visibility::Rays if settings.samples as usize <= target::FEW => vec![Pattern::few()],
+            _ => (0..blocks).map(Pattern::new).collect(),
+        };
         let areas = emitters.areas.iter().map(|l| Target::Area(AreaTarget::new(l, &patterns)));
         let lamps = emitters.lamps.iter().map(Target::Lamp);
         let lights = areas.chain(lamps).chain(emitters.suns.iter().map(Target::Sun)).collect();

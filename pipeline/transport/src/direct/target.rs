@@ -1,4 +1,5 @@
-//! What a receiver looks at: a planar patch of light, or a disc at a lamp or the sun, with 64 fixed points on it.
+//! What a receiver looks at: a planar patch of light, or a disc at a lamp or the sun, with 64 fixed points on it,
+//! or 16 of them.
 //!
 //! A point of the target is `origin + u·a + v·b`, so that everything which is linear in space is affine in (u, v) and
 //! can be tested for all 64 points at once. The points are a rank-1 lattice, the same for every receiver: in a
@@ -10,6 +11,9 @@ use crate::sampling;
 
 /// Points per block.
 pub const LANES: usize = 64;
+
+/// Points of a block where light has to be found soon.
+pub const FEW: usize = 16;
 
 /// The plane of a target, relative to the point that looks at it.
 #[derive(Clone, Copy, Debug)]
@@ -47,7 +51,7 @@ impl Points {
     pub fn polygon(corners: &[Vec2], pattern: &Pattern) -> Self {
         let [p, q, r] = [corners[0], corners[1], corners[2]];
         let s = corners.get(3).copied().unwrap_or(r);
-        let mut points = Self { corners: [p, q, r, s], count: LANES, ..Self::single() };
+        let mut points = Self { corners: [p, q, r, s], count: pattern.0.len(), ..Self::single() };
         let (first, second) = ((q - p).perp_dot(r - p).abs(), (r - p).perp_dot(s - p).abs());
         let share = if first + second > 0.0 { first / (first + second) } else { 1.0 };
         // A parallelogram keeps the lattice whole; other quads are two triangles.
@@ -73,7 +77,7 @@ impl Points {
         // 1 − cos, without cancellation for small angles.
         let height = sine * sine / (1.0 + cosine);
         let rim = distance * sine / cosine;
-        let mut points = Self { count: LANES, ..Self::single() };
+        let mut points = Self { count: pattern.0.len(), ..Self::single() };
         points.corners = [Vec2::new(-rim, -rim), Vec2::new(rim, -rim), Vec2::new(rim, rim), Vec2::new(-rim, rim)];
         for (i, &x) in pattern.0.iter().enumerate() {
             let z = 1.0 - x.x * height;
@@ -85,21 +89,29 @@ impl Points {
     }
 }
 
-/// 64 points of the unit square.
+/// Points of the unit square: 64, or [`FEW`].
 #[derive(Clone, Debug)]
-pub struct Pattern([Vec2; LANES]);
+pub struct Pattern(Vec<Vec2>);
 
 impl Pattern {
     /// The rank-1 lattice (i, 19 i mod 64), shifted for the blocks after the first.
     pub fn new(block: u32) -> Self {
         let shift = if block == 0 { Vec2::ZERO } else { sampling::r2(block, Vec2::ZERO) };
-        let mut points = [Vec2::ZERO; LANES];
-        for (i, p) in points.iter_mut().enumerate() {
-            let lattice = Vec2::new(i as f32 + 0.5, (19 * i % LANES) as f32 + 0.5) / LANES as f32;
+        Self::lattice(LANES, 19, shift)
+    }
+
+    /// The rank-1 lattice (i, 3 i mod 16).
+    pub fn few() -> Self {
+        Self::lattice(FEW, 3, Vec2::ZERO)
+    }
+
+    fn lattice(count: usize, factor: usize, shift: Vec2) -> Self {
+        let point = |i: usize| {
+            let lattice = Vec2::new(i as f32 + 0.5, (factor * i % count) as f32 + 0.5) / count as f32;
             let moved = lattice + shift;
-            *p = (moved - moved.floor()).min(Vec2::splat(1.0 - f32::EPSILON));
-        }
-        Self(points)
+            (moved - moved.floor()).min(Vec2::splat(1.0 - f32::EPSILON))
+        };
+        Self((0..count).map(point).collect())
     }
 }
 
@@ -110,12 +122,15 @@ mod tests {
     #[test]
     fn points_are_uniform_in_area_and_inside() {
         let quad = [Vec2::ZERO, Vec2::new(4.0, 0.0), Vec2::new(3.0, 1.0), Vec2::new(0.0, 2.0)];
-        let points = Points::polygon(&quad, &Pattern::new(0));
-        let mean = Vec2::new(points.u.iter().sum::<f32>(), points.v.iter().sum::<f32>()) / LANES as f32;
-        assert!((mean - Vec2::new(23.0 / 15.0, 11.0 / 15.0)).length() < 0.03, "{mean}");
-        for i in 0..LANES {
-            let x = Vec2::new(points.u[i], points.v[i]);
-            assert!((0..4).all(|k| (quad[(k + 1) % 4] - quad[k]).perp_dot(x - quad[k]) >= -1e-5));
+        for (pattern, most) in [(Pattern::new(0), 0.03), (Pattern::few(), 0.09)] {
+            let points = Points::polygon(&quad, &pattern);
+            let of = |values: &[f32]| values[..points.count].iter().sum::<f32>() / points.count as f32;
+            let mean = Vec2::new(of(&points.u), of(&points.v));
+            assert!((mean - Vec2::new(23.0 / 15.0, 11.0 / 15.0)).length() < most, "{mean}");
+            for i in 0..points.count {
+                let x = Vec2::new(points.u[i], points.v[i]);
+                assert!((0..4).all(|k| (quad[(k + 1) % 4] - quad[k]).perp_dot(x - quad[k]) >= -1e-5));
+            }
         }
     }
 

@@ -14,8 +14,7 @@
 use glam::{Vec3, Vec3A, Vec3Swizzles};
 
 /// A triangle's corners by axis: all x, all y, all z. 48 bytes.
-#[derive(Clone, Copy)]
-#[derive(Debug)]
+#[derive(Clone, Copy, Debug)]
 pub(super) struct Corners([Vec3A; 3]);
 
 /// A ray in the form that the test wants.
