@@ -1,8 +1,9 @@
 //! The goals by number, in one run: what was measured beside what must be and what is aimed at.
 //!
 //! `cargo bench --bench goals` prints the whole table, `-- quick` leaves out the bakes (the rows on errors, texels and
-//! whole bakes and on edits). Two others print a table of their own: `-- gaps`, how soon a bake stops, stage by stage, and
-//! `-- edits`, what edits of a scene cost beside its bake, by the wall clock (`--size 256` makes its lightmap smaller).
+//! whole bakes and on edits). Others print a table of their own: `-- gaps`, how soon a bake stops, stage by stage,
+//! `-- edits`, what edits of a scene cost beside its bake, by the wall clock (`--size 256` makes its lightmap smaller), and
+//! `-- moved`, how much light changes when an object moves.
 //! Rates of one thread are taken from that thread's processor time, so that they do not depend on what
 //! else the machine does (but for shared caches and processors that share a core); only the comparison of two
 //! threads with one needs the wall clock and two idle processors. Ratios compare work that was timed in turns.
@@ -12,6 +13,7 @@ mod edits;
 mod gaps;
 mod heap;
 mod meter;
+mod moved;
 mod rates;
 #[path = "../support/mod.rs"]
 mod support;
@@ -57,6 +59,9 @@ fn main() {
     println!("{:<58} {:>9} {:<9} {:>8} {:>7} {:>8}", "what", "value", "unit", "must", "aim", "met");
     if asked("gaps") {
         return gaps::measure();
+    }
+    if asked("moved") {
+        return moved::measure();
     }
     if asked("edits") {
         return edits::measure(size);
