@@ -8,7 +8,9 @@ use std::path::Path;
 use std::process::Command;
 use std::time::Duration;
 
+use luxel::settings::{Layer, Origin};
 use luxel::watch::event::Event;
+use luxel::watch::{Choices, Options, Task, Watch};
 use tool::watcher::Tool;
 use watching::*;
 
@@ -777,4 +779,23 @@ fn the_tool_names_what_it_could_not_bake_and_refuses_what_it_cannot_watch() {
     assert_eq!(tool.end(), Some(1));
     tool::luxel(&["watch", "nothing.glb"], folder.path()).ended(2);
     tool::luxel(&["watch", "cornell.glb", "--poll", "0"], folder.path()).ended(2);
+}
+
+#[test]
+fn a_scene_that_nobody_had_time_to_look_at_is_not_broken() {
+    let folder = tempfile::tempdir().unwrap();
+    furnish(folder.path(), "a");
+    let options = Options {
+        paths: Options::paths(&[folder.path().to_path_buf()]).unwrap(),
+        out: None,
+        choices: Choices { config: None, flags: Layer::new(Origin::CommandLine) },
+        worker: None,
+        store: Default::default(),
+    };
+    let watch = Watch::new(options, None);
+    watch.stopper().stop();
+    let mut told = Vec::new();
+    let ending = watch.run(&|_: &Task| panic!("nothing is baked any more"), &mut |event| told.push(event));
+    assert!(ending.failed.is_empty(), "{ending:?}");
+    assert!(matches!(told.last(), Some(Event::Stopped { failed, .. }) if failed.is_empty()), "{told:#?}");
 }

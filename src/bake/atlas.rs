@@ -14,7 +14,7 @@ use super::{foresee, keys, report};
 use crate::Error;
 use crate::plan::Stage;
 use crate::settings::Settings;
-use crate::store::{Kind, Reader, Store};
+use crate::store::{Key, Kind, Reader, Store};
 
 /// The atlas of a scene in which something receives light; else one in which nothing has a place.
 pub fn run(
@@ -52,7 +52,7 @@ pub fn run(
         let (atlas, report) = packing.fill(&placement, progress)?;
         let atlas = Arc::new(atlas);
         if let Some(kept) = baking.kept.filter(|_| unwraps.values().all(Charts::is_reproducible)) {
-            kept.keep_atlas(&baking.keys.layout, &atlas, &report);
+            kept.keep_atlas(&drawn_from(baking, scene), &atlas, &report);
         }
         count(&atlas, &report, stored.len(), counters);
         layouts = report::layouts(&report, new, is_stored);
@@ -65,14 +65,27 @@ pub fn run(
     Ok((atlas, report))
 }
 
-/// The atlas that was kept in memory. Its artefacts serve as if they had been read.
+/// The atlas that was kept in memory, where its artefacts are stored: they serve as if they had been read.
 fn kept(baking: &Baking, scene: &Scene, layout: &Layout) -> Option<(Arc<Atlas>, AtlasReport)> {
-    let kept = baking.kept?.atlas(&baking.keys.layout)?;
-    if let Some(store) = baking.store {
-        store.touch(Kind::Layout, &baking.keys.layout);
-        unwrapped(scene, layout).values().for_each(|mesh| store.touch(Kind::Unwrap, &keys::unwrap(mesh)));
+    let kept = baking.kept?.atlas(&drawn_from(baking, scene))?;
+    let unwraps = unwrapped(scene, layout).into_values().map(|mesh| (Kind::Unwrap, keys::unwrap(mesh)));
+    let artefacts: Vec<(Kind, Key)> = unwraps.chain([(Kind::Layout, baking.keys.layout)]).collect();
+    let store = baking.store?;
+    if !artefacts.iter().all(|(kind, key)| store.has(*kind, key)) {
+        return None;
     }
+    artefacts.iter().for_each(|(kind, key)| store.touch(*kind, key));
     Some(kept)
+}
+
+/// What an atlas and its report follow from: the layout, and the names by which meshes are spoken of.
+fn drawn_from(baking: &Baking, scene: &Scene) -> Key {
+    let mut hasher = blake3::Hasher::new();
+    hasher.update(&baking.keys.layout);
+    for mesh in &scene.meshes {
+        hasher.update(&(mesh.name.len() as u64).to_le_bytes()).update(mesh.name.as_bytes());
+    }
+    *hasher.finalize().as_bytes()
 }
 
 pub fn settings(settings: &Settings) -> AtlasSettings {

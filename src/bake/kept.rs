@@ -3,13 +3,13 @@
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use luxel_atlas::{Atlas, AtlasReport, Texel};
+use luxel_atlas::{Atlas, AtlasReport, Placed};
 use luxel_transport::rays::Tree;
 
 use crate::store::Key;
 
-/// Most bytes of texels, and of a tree, that are kept: together they stay below what a watch at rest may take.
-const MOST_TEXELS: usize = 80 << 20;
+/// Most bytes of an atlas, and of a tree, that are kept: together they stay below what a watch at rest may take.
+const MOST_ATLAS: usize = 80 << 20;
 const MOST_TREE: usize = 64 << 20;
 
 /// Shared by the bakes of one watch. Each takes out what is its own, and what is another's is dropped.
@@ -18,21 +18,21 @@ pub struct Kept(Arc<Mutex<Last>>);
 
 #[derive(Debug, Default)]
 struct Last {
-    /// By the key of its layout: an atlas is a function of what the layout reads.
+    /// By what it was drawn from.
     atlas: Option<(Key, (Arc<Atlas>, AtlasReport))>,
     /// By the digest of all that rays meet.
     tree: Option<(Key, Arc<Tree>)>,
 }
 
 impl Kept {
-    /// The atlas of a layout, if it was the last one.
-    pub(super) fn atlas(&self, layout: &Key) -> Option<(Arc<Atlas>, AtlasReport)> {
-        own(&mut self.last().atlas, layout)
+    /// The atlas that was drawn from this, if it was the last one.
+    pub(super) fn atlas(&self, drawn_from: &Key) -> Option<(Arc<Atlas>, AtlasReport)> {
+        own(&mut self.last().atlas, drawn_from)
     }
 
-    pub(super) fn keep_atlas(&self, layout: &Key, atlas: &Arc<Atlas>, report: &AtlasReport) {
-        let is_small = size_of::<Texel>() * atlas.texels.len() <= MOST_TEXELS;
-        self.last().atlas = is_small.then(|| (*layout, (atlas.clone(), report.clone())));
+    pub(super) fn keep_atlas(&self, drawn_from: &Key, atlas: &Arc<Atlas>, report: &AtlasReport) {
+        let is_small = bytes(atlas) <= MOST_ATLAS;
+        self.last().atlas = is_small.then(|| (*drawn_from, (atlas.clone(), report.clone())));
     }
 
     /// The tree over a shape, if it was the last one.
@@ -49,6 +49,13 @@ impl Kept {
     }
 }
 
+/// Bytes that an atlas holds.
+fn bytes(atlas: &Atlas) -> usize {
+    let placed = |p: &Placed| size_of_val(&p.source[..]) + size_of_val(&p.uvs[..]) + size_of_val(&p.triangles[..]);
+    let placed: usize = atlas.placed.iter().flatten().map(placed).sum();
+    placed + size_of_val(&atlas.placed[..]) + size_of_val(&atlas.texels[..]) + size_of_val(&atlas.charts[..])
+}
+
 /// What is kept under this key; what is under another one goes.
 fn own<T: Clone>(kept: &mut Option<(Key, T)>, key: &Key) -> Option<T> {
     *kept = kept.take().filter(|(of, _)| of == key);
@@ -60,12 +67,18 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_last_atlas_is_kept_for_its_own_layout() {
+    fn the_last_atlas_is_kept_for_its_own_scene() {
         let kept = Kept::default();
         let atlas = Arc::new(Atlas::default());
         kept.keep_atlas(&[1; 32], &atlas, &AtlasReport::default());
         assert!(kept.clone().atlas(&[1; 32]).is_some_and(|(again, _)| Arc::ptr_eq(&again, &atlas)));
         assert!(kept.atlas(&[2; 32]).is_none());
         assert!(kept.atlas(&[1; 32]).is_none(), "another scene's bake has dropped it");
+        // Many instances of a mesh in a small picture.
+        let triangles = vec![[0; 3]; 1 << 20];
+        let placed = Some(Placed { page: 0, source: Vec::new(), uvs: Vec::new(), triangles });
+        let large = Arc::new(Atlas { placed: vec![placed; 8], ..Atlas::default() });
+        kept.keep_atlas(&[1; 32], &large, &AtlasReport::default());
+        assert!(kept.atlas(&[1; 32]).is_none());
     }
 }

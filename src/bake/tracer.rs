@@ -5,7 +5,7 @@ use std::cell::OnceCell;
 use luxel_transport::{geometry::Geometry, rays::Rays};
 
 use super::Kept;
-use super::journal::{Counters, Journal};
+use super::journal::Journal;
 use crate::Error;
 use crate::plan::{Plan, Stage};
 use crate::store::Key;
@@ -31,17 +31,18 @@ impl<'g> Tracer<'g> {
         if let Some(rays) = self.rays.get() {
             return Ok(rays);
         }
-        if let Some(tree) = self.kept.and_then(|(kept, shape)| kept.tree(&shape)) {
-            journal.reused(plan, Stage::Rays, Counters::default());
-            return Ok(self.rays.get_or_init(|| Rays::with(self.geometry, tree)));
-        }
         let group = journal.group.take();
-        let rays = journal.always(Stage::Rays, plan.reason(Stage::Rays), Some(0), |progress, _| {
-            Ok(Rays::build(self.geometry, progress)?)
+        let known = self.kept.and_then(|(kept, shape)| kept.tree(&shape));
+        let is_known = known.is_some();
+        let rays = journal.always(Stage::Rays, plan.reason(Stage::Rays), Some(0), |progress, _| match known {
+            Some(tree) => Ok(Rays::with(self.geometry, tree)),
+            None => Ok(Rays::build(self.geometry, progress)?),
         });
         journal.group = group;
         let rays = rays?;
-        if let Some((kept, shape)) = self.kept {
+        if is_known {
+            journal.add(Stage::Rays, "their tree is that of the last bake");
+        } else if let Some((kept, shape)) = self.kept {
             kept.keep_tree(&shape, rays.tree());
         }
         Ok(self.rays.get_or_init(|| rays))

@@ -86,8 +86,7 @@ fn run(task: &CacheTask, store: &Store, json: bool) -> Result<End, StoreError> {
             Ok(End { bad: verified.bad.len(), failed: false })
         }
         CacheTask::Gc(Gc { cap, older, .. }) => {
-            // To empty a store says nothing of how much it may hold when it is used again.
-            if let Some(cap) = cap.filter(|cap| *cap > 0) {
+            if let Some(cap) = *cap {
                 Store::new(store.folder()).with_cap(cap).keep_cap()?;
             }
             let cap = cap.map_or_else(|| store.cap(), Ok)?;

@@ -86,7 +86,8 @@ impl State {
     fn keep(&mut self, hash: &str, texels: &Texels) {
         self.count += 1;
         self.kept.push_back(texels.clone());
-        while self.kept.iter().map(|t| t.len()).sum::<usize>() > KEPT {
+        // The last one in any case: it was decoded for somebody who is about to ask.
+        while self.kept.len() > 1 && self.kept.iter().map(|t| t.len()).sum::<usize>() > KEPT {
             self.kept.pop_front();
         }
         self.known.retain(|_, texels| texels.strong_count() > 0);

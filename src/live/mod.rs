@@ -107,7 +107,7 @@ pub struct Live {
     decoding: Sender<Shown>,
 }
 
-/// Decoded lightmaps that nobody has asked for during this time are not kept.
+/// Decoded lightmaps are kept until nothing was written for so long.
 const KEEP: Duration = Duration::from_secs(20);
 
 impl Live {

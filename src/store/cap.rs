@@ -50,12 +50,12 @@ impl Store {
     }
 
     /// Keeps the cap that was asked for, whole or not at all; nothing is written where none was, or where it is kept
-    /// already.
+    /// already. One of nothing at all empties a store once, and says nothing of how much it may hold.
     ///
     /// # Errors
     /// It cannot be written.
     pub fn keep_cap(&self) -> Result<(), StoreError> {
-        let Some(cap) = self.cap.filter(|cap| !self.kept_cap().is_ok_and(|kept| kept == Some(*cap))) else {
+        let Some(cap) = self.cap.filter(|cap| *cap > 0 && !self.kept_cap().is_ok_and(|kept| kept == Some(*cap))) else {
             return Ok(());
         };
         self.write_cap(cap).map_err(|source| StoreError::KeepCap { path: self.cap_file(), source })
@@ -101,6 +101,7 @@ mod tests {
         Store::new(&at).keep_cap().unwrap();
         assert!(!at.exists(), "nobody asked for anything");
         Store::new(&at).with_cap(50 << 30).keep_cap().unwrap();
+        Store::new(&at).with_cap(0).keep_cap().unwrap();
         assert_eq!((cap(), Store::new(&at).with_cap(7).cap().unwrap()), (50 << 30, 7));
         Store::new(&at).keep_cap().unwrap();
         assert_eq!(cap(), 50 << 30);
@@ -133,6 +134,8 @@ mod tests {
         let store = || Store::new(folder.path());
         store().put(Kind::Sky, &[1; 32], |out| out.write_all(b"blue")).unwrap();
         store().with_cap(0).keep_cap().unwrap();
+        assert_eq!(store().kept_cap().unwrap(), None, "to be emptied once is not to hold nothing");
+        store().with_cap(1).keep_cap().unwrap();
         store().evict();
         assert_eq!(store().stat().unwrap().total.files, 0);
     }

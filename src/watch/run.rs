@@ -267,6 +267,10 @@ impl Course<'_, '_, '_> {
 
     /// Takes up the next scene, or says that there is none and returns false.
     fn next(&mut self) -> bool {
+        // What has not been looked at to its end is not broken.
+        if self.ending.load(Ordering::Relaxed) {
+            return false;
+        }
         let next = self.book.next().and_then(|scene| Some((scene.to_path_buf(), self.book.item(scene)?.look.clone())));
         let Some((scene, look)) = next else {
             if self.untold.is_empty() && !self.voice.is_idle {
@@ -286,10 +290,11 @@ impl Course<'_, '_, '_> {
                     store: self.store.clone(),
                     kept: self.kept.clone(),
                 };
-                if !self.adopt(&request, &look) {
-                    if self.ending.load(Ordering::Relaxed) {
-                        return false;
-                    }
+                let is_current = self.adopt(&request, &look);
+                if self.ending.load(Ordering::Relaxed) {
+                    return false;
+                }
+                if !is_current {
                     self.bake(request, look);
                 }
             }

@@ -7,7 +7,7 @@ use glam::Vec3;
 use luxel::plan::Plan;
 use luxel::settings::{Layer, Origin, Resolved, for_scene};
 use luxel::store::StoreOptions;
-use luxel::{Request, bake, plan_file};
+use luxel::{Kept, Request, bake, plan_file};
 use luxel_export::OutputSet;
 use luxel_scene::Silent;
 use serde_json::Value;
@@ -19,6 +19,8 @@ use crate::tool::{files, lightmap};
 /// A folder with a level in it and a store that stays.
 pub struct Place {
     pub folder: TempDir,
+    /// As a watch has it: what its bakes keep in memory for each other.
+    kept: Kept,
 }
 
 /// The files of a bake.
@@ -58,7 +60,7 @@ impl Target {
 
 impl Place {
     pub fn new() -> Self {
-        Self { folder: tempfile::tempdir().unwrap() }
+        Self { folder: tempfile::tempdir().unwrap(), kept: Kept::default() }
     }
 
     pub fn at(&self, name: &str) -> PathBuf {
@@ -73,7 +75,7 @@ impl Place {
     /// Writes the level and bakes it, with what was stored before.
     pub fn bake(&self, level: &Level) -> Baked {
         level.write(self.folder.path());
-        run(&self.at(SCENE), &self.target())
+        run_on(&self.at(SCENE), &self.target(), &self.kept)
     }
 
     /// The same with a plan before; panics where the bake does something else than was foreseen.
@@ -81,7 +83,7 @@ impl Place {
         level.write(self.folder.path());
         let scene = self.at(SCENE);
         let planned = plan(&scene, &self.target());
-        let baked = run(&scene, &self.target());
+        let baked = run_on(&scene, &self.target(), &self.kept);
         if let Err(why) = baked.is_as(&planned) {
             panic!("{why}");
         }
@@ -95,6 +97,11 @@ fn resolved(scene: &Path) -> Resolved {
 
 /// Bakes in this process, whether the scene is current or not.
 pub fn run(scene: &Path, target: &Target) -> Baked {
+    run_on(scene, target, &Kept::default())
+}
+
+/// The same with what is kept in memory of the bakes before.
+fn run_on(scene: &Path, target: &Target, kept: &Kept) -> Baked {
     let outputs = OutputSet::new(scene, Some(&target.out), None).unwrap();
     let request = Request {
         scene: scene.into(),
@@ -102,7 +109,7 @@ pub fn run(scene: &Path, target: &Target) -> Baked {
         settings: resolved(scene),
         worker: None,
         store: target.store.clone(),
-        kept: Default::default(),
+        kept: kept.clone(),
     };
     bake(&request, &Silent).unwrap_or_else(|e| panic!("{e:?}"));
     Baked { stored: target.stored(), ..Baked::read(&target.out) }
