@@ -74,14 +74,17 @@ impl Bench {
 
     /// The next event that fits.
     pub fn wait(&mut self, what: &str, fits: impl Fn(&Event) -> bool) -> Event {
+        self.hear(LIMIT, fits).unwrap_or_else(|passed| panic!("no event came that says {what}, but {passed:#?}"))
+    }
+
+    /// The same, with what came instead where there is silence for so long.
+    fn hear(&mut self, silence: Duration, fits: impl Fn(&Event) -> bool) -> Result<Event, Vec<Event>> {
         let mut passed = Vec::new();
         loop {
-            let Ok(event) = self.events.recv_timeout(LIMIT) else {
-                panic!("no event came that says {what}, but {passed:#?}");
-            };
+            let Ok(event) = self.events.recv_timeout(silence) else { return Err(passed) };
             self.told += usize::from(matches!(event, Event::Baking { .. }));
             if fits(&event) {
-                return event;
+                return Ok(event);
             }
             passed.push(event);
         }
@@ -119,13 +122,17 @@ impl Bench {
     /// Waits until all that has happened so far was looked at, and the first bake that follows from it has begun.
     pub fn heed(&mut self, name: &str) {
         let path = self.at(name);
+        let begun = Instant::now();
         let mut times = 0;
         while times < 2 {
+            assert!(begun.elapsed() < LIMIT, "nobody says that {name} was touched");
             touch(&path);
-            // A touch together with a change of another file is no news.
+            // A touch together with a change of another file is no news, and one of a folder that is just being taken up
+            // anew is not told.
             let is_news = |e: &Event| matches!(e, Event::Changed { .. } | Event::Found { .. });
             let is_touch = |e: &Event| matches!(e, Event::Unchanged { files, .. } if files.contains(&path));
-            times += usize::from(is_touch(&self.wait("unchanged", |e| is_news(e) || is_touch(e))));
+            let heard = self.hear(Duration::from_secs(5), |e| is_news(e) || is_touch(e));
+            times += usize::from(heard.is_ok_and(|event| is_touch(&event)));
         }
     }
 
