@@ -2,6 +2,7 @@
 
 mod artefact;
 mod atlas;
+mod baking;
 mod cause;
 mod direct;
 mod draft;
@@ -21,6 +22,7 @@ mod receivers;
 mod record;
 mod report;
 mod texels;
+mod threads;
 mod tracer;
 mod transport;
 mod turns;
@@ -28,21 +30,20 @@ mod upstream;
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
-use std::io;
-use std::panic::AssertUnwindSafe;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant;
 
 use luxel_atlas::{Atlas, AtlasReport, InProcess, Worker};
 use luxel_export::{BoundMap, Effort, Lightmap, OutputSet, Report, report::Warning};
-use luxel_scene::{InputFile, Progress, Scene, Watched};
+use luxel_scene::{InputFile, Progress, Scene};
 use luxel_transport::geometry::Geometry;
 
 use crate::Error;
 use crate::plan::{Plan, Stage};
 use crate::settings::{Resolved, Settings};
-use crate::store::{self, Key, Kind, Store, StoreOptions, Writer};
+use crate::store::StoreOptions;
+use baking::{Baking, Tidy, light_of, not_stored};
 use finish::Seams;
 use groups::Lighting;
 use journal::Journal;
@@ -54,6 +55,8 @@ use mix::Mix;
 use outgoing::Outgoing;
 use receivers::Receivers;
 pub(crate) use report::{json_form, versions};
+pub(crate) use threads::guarded;
+use threads::{on_threads, with_threads};
 use tracer::Tracer;
 use transport::Transport;
 pub use turns::{Alone, Gate, Leave, Turn, Turns};
@@ -108,52 +111,6 @@ pub struct Lit {
 enum Keep {
     Texels,
     Images,
-}
-
-/// What every stage of a bake is told.
-#[derive(Clone, Copy)]
-struct Baking<'a> {
-    settings: &'a Settings,
-    plan: &'a Plan,
-    lighting: &'a Lighting,
-    keys: &'a Keys,
-    store: Option<&'a Store>,
-    kept: Option<&'a Kept>,
-    /// Light that is not stored is not made either.
-    only_stored: bool,
-}
-
-impl Baking<'_> {
-    /// Stores an artefact, where there is a store, as long as the bake is wanted; returns the length of its body.
-    fn put(
-        &self,
-        kind: Kind,
-        key: &Key,
-        progress: &dyn Progress,
-        fill: impl FnOnce(&mut Watched<&mut Writer>) -> io::Result<()>,
-    ) -> Result<Option<u64>, Error> {
-        let written = self.store.and_then(|store| store.put(kind, key, |out| fill(&mut Watched::new(out, progress))));
-        progress.check()?;
-        Ok(written)
-    }
-
-    /// To be asked before anything is made that an export has to find in the store.
-    fn may_make_part(&self, what: impl FnOnce() -> String) -> Result<(), Error> {
-        match self.store {
-            Some(store) if self.only_stored => Err(not_stored(store, what())),
-            _ => Ok(()),
-        }
-    }
-
-    /// To be asked before the light of a group is made.
-    fn may_make(&self, group: &str) -> Result<(), Error> {
-        self.may_make_part(|| light_of(group))
-    }
-}
-
-/// What an export says of a group whose light it misses.
-fn light_of(group: &str) -> String {
-    format!("the light of the group {group:?}")
 }
 
 /// Bakes a scene file to files (the chain is shown in the crate's documentation). When it fails or is cancelled, the
@@ -274,24 +231,6 @@ fn run(
     let mut baked = outgoing.write(&baking, &lit, picture.as_deref(), Effort::Small, figures, journal)?;
     baked.seconds -= besides;
     Ok(baked)
-}
-
-/// Keeps a store below its cap, and a folder of outputs free of what killed bakes left there, when a bake is over:
-/// however it ends, it has put artefacts into the store.
-struct Tidy<'a> {
-    store: &'a Store,
-    folder: &'a Path,
-}
-
-impl Drop for Tidy<'_> {
-    fn drop(&mut self) {
-        self.store.evict();
-        store::sweep(self.folder);
-    }
-}
-
-fn not_stored(store: &Store, what: String) -> Error {
-    Error::NotStored { what, store: store.folder().into() }
 }
 
 /// Whether the result depends on the setting of this name: the number of threads changes no byte.
@@ -420,36 +359,11 @@ fn worker(path: &Path) -> Worker {
     Worker::new(path, ["unwrap-worker"])
 }
 
-/// Runs `work` on as many threads as the settings say.
-fn with_threads<T: Send>(settings: &Settings, work: impl FnOnce() -> Result<T, Error> + Send) -> Result<T, Error> {
-    on_threads(settings.threads.0, work)
-}
-
-/// Runs `work` on a pool of its own, so that an embedding program keeps its threads.
-fn on_threads<T: Send>(threads: u32, work: impl FnOnce() -> Result<T, Error> + Send) -> Result<T, Error> {
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads as usize).build();
-    let pool = pool.map_err(|source| Error::Threads { threads, source })?;
-    guarded(|| pool.install(work))
-}
-
-/// The boundary of one scene: a panic within it, be it in a decoder that a file has upset, is that scene's error. What
-/// `work` was about to make is lost; files are only ever replaced whole, so none is left half written.
-pub(crate) fn guarded<T>(work: impl FnOnce() -> Result<T, Error>) -> Result<T, Error> {
-    std::panic::catch_unwind(AssertUnwindSafe(work)).unwrap_or_else(|panic| {
-        let text = panic.downcast_ref::<&str>().copied().or(panic.downcast_ref::<String>().map(String::as_str));
-        Err(Error::Internal { what: text.unwrap_or("a panic without a message").into() })
-    })
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::settings::{
-        Preset, Voxels,
-        value::{Texels, Threads},
-    };
+    use crate::settings::{Preset, Voxels, value::Texels};
     use luxel_scene::Silent;
-    use rayon::prelude::*;
 
     /// Breaks down at a stage, as a decoder may over a file.
     struct Broken(&'static str);
@@ -513,14 +427,5 @@ mod tests {
         let baked = bake(&request, &Saving(&request.scene)).unwrap();
         assert_eq!(std::fs::read(&request.scene).unwrap(), b"another level");
         assert!(baked.files.iter().all(|file| file.exists()) && baked.report.counters["texels"] > 0);
-    }
-
-    #[test]
-    fn a_panic_on_a_worker_thread_is_caught_too() {
-        let settings = Settings { threads: Threads(2), ..Settings::default() };
-        let all = || -> Result<Vec<u32>, Error> {
-            Ok((0..1000u32).into_par_iter().map(|i| if i == 637 { panic!("number {i}") } else { i }).collect())
-        };
-        assert!(matches!(with_threads(&settings, all), Err(Error::Internal { what }) if what == "number 637"));
     }
 }
