@@ -9,6 +9,7 @@ use luxel_scene::{Instance, Mesh, Progress, Scene};
 
 use super::Baking;
 use super::artefact::{body, put_value};
+use super::digest::Digest;
 use super::journal::{Counters, Journal};
 use super::{foresee, keys, report};
 use crate::Error;
@@ -80,12 +81,8 @@ fn kept(baking: &Baking, scene: &Scene, layout: &Layout) -> Option<(Arc<Atlas>, 
 
 /// What an atlas and its report follow from: the layout, and the names by which meshes are spoken of.
 fn drawn_from(baking: &Baking, scene: &Scene) -> Key {
-    let mut hasher = blake3::Hasher::new();
-    hasher.update(&baking.keys.layout);
-    for mesh in &scene.meshes {
-        hasher.update(&(mesh.name.len() as u64).to_le_bytes()).update(mesh.name.as_bytes());
-    }
-    *hasher.finalize().as_bytes()
+    let digest = Digest::new("atlas").bytes(&baking.keys.layout);
+    scene.meshes.iter().fold(digest, |digest, mesh| digest.text(&mesh.name)).done()
 }
 
 pub fn settings(settings: &Settings) -> AtlasSettings {

@@ -27,9 +27,10 @@ use luxel_scene::{Alpha, Instance, Light, LightKind, Material, Mesh, Scene, Sky,
 use luxel_transport::lights::Source;
 use rayon::prelude::*;
 
+use super::digest::Digest;
 use super::groups::{Group, Lighting};
 use crate::plan::{Plan, Stage};
-use crate::settings::{Field, Settings};
+use crate::settings::Settings;
 use crate::store::Key;
 
 // What a scene consists of, in words.
@@ -347,68 +348,4 @@ fn sky(sky: &Sky) -> Key {
         }
     }
     .done()
-}
-
-/// A BLAKE3 hash that grows value by value; texts and lists carry their lengths.
-struct Digest(blake3::Hasher);
-
-impl Digest {
-    fn new(what: &str) -> Self {
-        Self(blake3::Hasher::new()).text(what)
-    }
-
-    fn stage(stage: Stage) -> Self {
-        Self::new(env!("CARGO_PKG_VERSION")).version(stage)
-    }
-
-    fn version(self, stage: Stage) -> Self {
-        self.text(stage.name()).number(stage.version().into())
-    }
-
-    fn bytes(mut self, bytes: &[u8]) -> Self {
-        self.0.update(bytes);
-        self
-    }
-
-    fn number(self, n: u64) -> Self {
-        self.bytes(&n.to_le_bytes())
-    }
-
-    fn text(self, text: &str) -> Self {
-        self.number(text.len() as u64).bytes(text.as_bytes())
-    }
-
-    fn slice<T: bytemuck::NoUninit>(self, items: &[T]) -> Self {
-        self.number(items.len() as u64).bytes(bytemuck::cast_slice(items))
-    }
-
-    fn flag(self, flag: bool) -> Self {
-        self.bytes(&[u8::from(flag)])
-    }
-
-    fn float(self, x: f32) -> Self {
-        self.bytes(&x.to_le_bytes())
-    }
-
-    fn double(self, x: f64) -> Self {
-        self.bytes(&x.to_le_bytes())
-    }
-
-    fn vec3(self, v: Vec3) -> Self {
-        self.float(v.x).float(v.y).float(v.z)
-    }
-
-    fn affine(self, a: &DAffine3) -> Self {
-        a.to_cols_array().into_iter().fold(self, Self::double)
-    }
-
-    fn setting(self, settings: &Settings, name: &str) -> Self {
-        let value = Field::find(name).map(|field| (field.get)(settings));
-        debug_assert!(value.is_some(), "there is no setting {name}");
-        self.text(name).text(&value.unwrap_or_default())
-    }
-
-    fn done(self) -> Key {
-        *self.0.finalize().as_bytes()
-    }
 }

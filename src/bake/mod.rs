@@ -4,6 +4,7 @@ mod artefact;
 mod atlas;
 mod baking;
 mod cause;
+mod digest;
 mod direct;
 mod draft;
 mod export;
