@@ -220,7 +220,7 @@ fn read_only(folder: &Path) {
     store.evict();
     let notes = store.take_notes();
     assert!(notes.len() == 1 && notes[0].contains("cannot be written"), "{notes:?}");
-    let store = Store::new(folder).with_cap(0);
+    let store = Store::new(folder).with_cap(1);
     assert!(store.keep_cap().is_err() && Store::new(folder).kept_cap().unwrap().is_none());
     store.evict();
     let notes = store.take_notes();
