@@ -5,7 +5,7 @@
 //! the tree of their samples ([`Lightcuts`]) instead, whose cost grows with the logarithm of their number. Lamps and
 //! suns stay exact.
 
-use luxel_scene::{Cancelled, Progress};
+use luxel_scene::{Cancelled, Progress, Uncounted};
 use luxel_transport::{
     direct::{Direct, DirectSettings, Visibility},
     gather::{Field, Gather, Gathered, Lightcuts, Receiver, lightcuts},
@@ -91,17 +91,6 @@ impl Gather for Crowd<'_> {
             sum.rays = sum.rays.saturating_add(lamps.rays);
         }
         Ok(gathered)
-    }
-}
-
-/// Passes on that the work is no longer wanted, and nothing else.
-struct Uncounted<'a>(&'a dyn Progress);
-
-impl Progress for Uncounted<'_> {
-    fn begin(&self, _: &'static str, _: u64) {}
-    fn advance(&self, _: u64) {}
-    fn is_cancelled(&self) -> bool {
-        self.0.is_cancelled()
     }
 }
 

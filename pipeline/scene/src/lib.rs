@@ -19,7 +19,7 @@ pub mod texture;
 pub use import::{ImportError, ImportOptions, Limits};
 pub use light::{Light, LightKind};
 pub use material::{Alpha, Material, Surface, TextureRef};
-pub use progress::{Cancelled, Progress, Silent, Unwanted, Watched, watched};
+pub use progress::{Cancelled, Progress, Silent, Uncounted, Unwanted, Watched, watched};
 pub use pyramid::Averages;
 pub use scene::{Camera, InputFile, Instance, Mesh, Notice, Scene};
 pub use sky::{Sky, SkyImage};

@@ -53,6 +53,17 @@ impl Progress for Silent {
     fn advance(&self, _: u64) {}
 }
 
+/// Passes on that the work is no longer wanted, and nothing else: for a second pass over what counts once.
+pub struct Uncounted<'a>(pub &'a dyn Progress);
+
+impl Progress for Uncounted<'_> {
+    fn begin(&self, _: &'static str, _: u64) {}
+    fn advance(&self, _: u64) {}
+    fn is_cancelled(&self) -> bool {
+        self.0.is_cancelled()
+    }
+}
+
 /// Who waited has gone before the work began: for the tests of what may be cancelled.
 pub struct Unwanted;
 

@@ -14,6 +14,7 @@
 //! | gather | [`lighttree`], [`gather`] | receivers → indirect irradiance with a stated bound |
 //! | validity | [`validity`] | receivers → which of them are inside geometry |
 //! | reference | [`reference`] | receivers → irradiance with its standard error |
+//! | comparison | [`methods`] | receivers → irradiance by each of several methods |
 //!
 //! Invariants: no module here reads a file, a clock or the number of threads to decide a value; the same input
 //! gives the same bytes. Lengths are in the units of the [`frame::Frame`], light is in SI photometric units.
@@ -27,6 +28,7 @@ pub mod geometry;
 pub mod ledger;
 pub mod lights;
 pub mod lighttree;
+pub mod methods;
 pub mod octree;
 pub mod rays;
 pub mod reference;

@@ -1,0 +1,47 @@
+//! Ways to find the light at a point, side by side: the comparators of the paper's Figure 3.
+//!
+//! | method | module | light that surfaces reflect | its own error estimate |
+//! |---|---|---|---|
+//! | path tracing | [`path_tracing`] | walks from the receiver ([`crate::reference`]) | standard error |
+//! | reconstruction | [`reconstruction`] | any [`Gather`](crate::gather::Gather) | none |
+//!
+//! All find the same two parts of the irradiance, as the reference defines them: *direct* light comes straight from
+//! lamps, suns and emitters, *indirect* light has been reflected at least once, or comes from the sky.
+
+pub mod path_tracing;
+pub mod reconstruction;
+
+pub use path_tracing::PathTracing;
+pub use reconstruction::{Reconstruction, Straight};
+
+use luxel_scene::{Cancelled, Progress};
+
+use crate::{Rgb, gather::Receiver};
+
+/// What a method finds at a receiver.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Light {
+    /// Irradiance straight from lamps, suns and emitters [lux].
+    pub direct: Rgb,
+    /// Irradiance after at least one reflection, and from the sky [lux].
+    pub indirect: Rgb,
+    /// Estimated standard error of the band mean of both together [lux]; none where the method states none.
+    pub error: Option<f32>,
+    /// Continuous rays spent, where the method counts them.
+    pub rays: u32,
+}
+
+impl Light {
+    /// All light [lux].
+    pub fn total(&self) -> Rgb {
+        self.direct + self.indirect
+    }
+}
+
+/// A way to find the light at receivers. Implementations are pure: the same receivers give the same bits, on any number
+/// of threads.
+pub trait Method: Sync {
+    /// The light at every receiver, in their order. Reports one unit of progress per receiver of a stage that the caller
+    /// has begun.
+    fn light(&self, receivers: &[Receiver], progress: &dyn Progress) -> Result<Vec<Light>, Cancelled>;
+}

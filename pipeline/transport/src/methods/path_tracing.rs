@@ -1,0 +1,39 @@
+//! Path tracing with a fixed number of walks a receiver: the left column of the paper's Figure 3.
+
+use luxel_scene::{Cancelled, Progress};
+use rayon::prelude::*;
+
+use super::{Light, Method};
+use crate::{gather::Receiver, reference::Reference};
+
+/// Finds light by walks.
+pub struct PathTracing<'a> {
+    tracer: &'a Reference<'a>,
+    paths: u32,
+}
+
+impl<'a> PathTracing<'a> {
+    /// So many walks a receiver, rounded up to a multiple of [`crate::reference::BATCHES`].
+    pub fn new(tracer: &'a Reference<'a>, paths: u32) -> Self {
+        Self { tracer, paths }
+    }
+
+    fn at(&self, receiver: &Receiver) -> Light {
+        let estimate = self.tracer.irradiance(receiver, self.paths);
+        // One walk alone knows nothing about its error.
+        let error = Some(estimate.standard_error).filter(|error| error.is_finite());
+        Light { direct: estimate.direct, indirect: estimate.indirect, error, rays: 0 }
+    }
+}
+
+impl Method for PathTracing<'_> {
+    fn light(&self, receivers: &[Receiver], progress: &dyn Progress) -> Result<Vec<Light>, Cancelled> {
+        let one = |receiver| {
+            progress.check()?;
+            let light = self.at(receiver);
+            progress.advance(1);
+            Ok(light)
+        };
+        receivers.par_iter().map(one).collect()
+    }
+}
