@@ -43,7 +43,7 @@ pub struct Opened {
 pub const STEPS: u64 = 2;
 
 /// Reads the scene, and the sky that the settings name.
-fn load(path: &Path, settings: &Settings, progress: &dyn Progress) -> Result<Scene, Error> {
+pub fn load(path: &Path, settings: &Settings, progress: &dyn Progress) -> Result<Scene, Error> {
     let options = ImportOptions {
         metal_diffuse: settings.metal_diffuse.0,
         light_scale: settings.light_scale.0,

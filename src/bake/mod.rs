@@ -15,6 +15,7 @@ mod input;
 pub mod journal;
 mod kept;
 mod keys;
+pub mod lab;
 mod light;
 mod memory;
 pub mod mix;
@@ -50,8 +51,7 @@ use groups::Lighting;
 use journal::Journal;
 pub use kept::Kept;
 use keys::Keys;
-use light::Parts;
-pub use light::TexelLight;
+pub use light::{Parts, TexelLight};
 use mix::Mix;
 use outgoing::Outgoing;
 use receivers::Receivers;
@@ -321,6 +321,18 @@ fn texel_light(
     atlas: &Atlas,
     journal: &mut Journal,
 ) -> Result<(TexelLight, light::Sums, transport::Facts), Error> {
+    let (parts, facts) = parts(baking, tracer, atlas, journal)?;
+    let (light, sums) = parts.merged(atlas);
+    Ok((light, sums, facts))
+}
+
+/// The same with direct and indirect light apart.
+fn parts(
+    baking: &Baking,
+    tracer: &Tracer,
+    atlas: &Atlas,
+    journal: &mut Journal,
+) -> Result<(Parts, transport::Facts), Error> {
     let Baking { settings, plan, lighting, .. } = baking;
     let mut transport = Transport::default();
     let mut sum: Option<Parts> = None;
@@ -351,8 +363,7 @@ fn texel_light(
         journal.left_out_unless_run(plan, stage);
     }
     let parts = sum.unwrap_or_else(|| Parts::dark(atlas.texels.len(), plan.states_bound(settings)));
-    let (light, sums) = parts.merged(atlas);
-    Ok((light, sums, transport.facts))
+    Ok((parts, transport.facts))
 }
 
 /// The tool's own binary as a child that unwraps.

@@ -214,7 +214,8 @@ fn nodes(settings: &Settings) -> Option<NodeSettings> {
     Some(NodeSettings { stride: settings.node_spacing.0, ..NodeSettings::default() })
 }
 
-fn lightcut_settings(settings: &Settings) -> lightcuts::Settings {
+/// How cuts are made.
+pub fn lightcut_settings(settings: &Settings) -> lightcuts::Settings {
     lightcuts::Settings {
         threshold: settings.cut_error.0,
         limit: settings.cut_limit.0,

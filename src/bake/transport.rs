@@ -214,6 +214,11 @@ impl Transport {
         Ok((surfels, solution, record))
     }
 
+    /// The surfels of a scene that nothing lights.
+    pub fn surfels(&mut self, baking: &Baking, tracer: &Tracer, journal: &mut Journal) -> Result<Rc<Surfels>, Error> {
+        Ok(self.voxelize(baking, tracer, journal)?.0)
+    }
+
     /// Makes or reads the surfels, unless they are there; returns what was counted over it.
     fn voxelize(
         &mut self,

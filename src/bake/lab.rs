@@ -1,0 +1,281 @@
+//! A scene made ready for comparisons: any method may look for its light anywhere, and a bake may be tried with one
+//! setting or another.
+//!
+//! The scene is as its file says; methods work with the true strengths of its lights, and share one tree of rays and one
+//! cached solution. A [`Trial`] is the chain of a bake from texels to gathered light, with its two parts kept apart and
+//! nothing written.
+
+use std::cell::OnceCell;
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::rc::Rc;
+use std::sync::Arc;
+
+use luxel_atlas::{Atlas, AtlasReport, InProcess};
+use luxel_export::report::Stage as Entry;
+use luxel_scene::{Progress, Scene};
+use luxel_transport::{
+    Rgb,
+    direct::Visibility,
+    gather::{Field, FinalGather, Lightcuts, Lookup},
+    geometry::Geometry,
+    lights::Emitters,
+    methods::{Method, PathTracing, Reconstruction, Straight},
+    rays::Rays,
+    reference::{Options, Reference},
+    sky_light::{SkyLight, SkySettings},
+    surfel::{Solution, Surfels},
+};
+
+use super::groups::Lighting;
+use super::journal::Journal;
+use super::keys::Keys;
+use super::light::Parts;
+use super::record::Record;
+use super::tracer::Tracer;
+use super::transport::{Facts, Transport};
+use super::{Baking, atlas, direct, input, parts, texels};
+use crate::Error;
+use crate::plan::{Plan, Stage};
+use crate::settings::{Gatherer, Settings};
+use crate::store::Store;
+
+/// Reads a scene as its file says, with the sky that the settings name.
+///
+/// # Errors
+/// As a bake.
+pub fn load(path: &Path, settings: &Settings, progress: &dyn Progress) -> Result<Scene, Error> {
+    progress.begin(Stage::Import.name(), 1);
+    let scene = input::load(path, settings, progress)?;
+    progress.advance(1);
+    Ok(scene)
+}
+
+/// A method with what it may spend.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Technique {
+    /// So many walks a receiver.
+    PathTracing { paths: u32 },
+    /// The cached solution, gathered as the settings say.
+    Cached(Gatherer),
+}
+
+/// The cached solution of all light groups together.
+pub struct Cache {
+    pub surfels: Rc<Surfels>,
+    /// At the true strengths of the lights.
+    pub solution: Solution,
+    pub record: Option<Record>,
+    /// The stages that made it.
+    pub stages: Vec<Entry>,
+}
+
+/// A scene in the laboratory.
+pub struct Lab<'a> {
+    pub rays: &'a Rays<'a>,
+    pub settings: &'a Settings,
+    store: Option<&'a Store>,
+    emitters: Emitters,
+    cache: OnceCell<Cache>,
+}
+
+impl<'a> Lab<'a> {
+    /// Opens the laboratory. With a store, light that bakes with these settings left there is used again.
+    ///
+    /// # Errors
+    /// When the work is cancelled.
+    pub fn with<T>(
+        scene: &Scene,
+        settings: &Settings,
+        store: Option<&Store>,
+        progress: &dyn Progress,
+        work: impl FnOnce(&Lab) -> Result<T, Error>,
+    ) -> Result<T, Error> {
+        let geometry = Geometry::new(scene);
+        progress.begin(Stage::Rays.name(), 0);
+        let rays = Rays::build(&geometry, progress)?;
+        let emitters = Emitters::new(&geometry);
+        work(&Lab { rays: &rays, settings, store, emitters, cache: OnceCell::new() })
+    }
+
+    pub fn scene(&self) -> &'a Scene {
+        self.rays.geometry.scene
+    }
+
+    /// The cached solution, made or read when it is first asked for.
+    ///
+    /// # Errors
+    /// As a bake.
+    pub fn cache(&self, progress: &dyn Progress) -> Result<&Cache, Error> {
+        if let Some(cache) = self.cache.get() {
+            return Ok(cache);
+        }
+        let cache = solved(self.scene(), self.settings, self.store, progress)?;
+        Ok(self.cache.get_or_init(|| cache))
+    }
+
+    /// Makes a method ready and works with it. Receivers that lie side by side on surfaces share what stands between
+    /// them and the lights; `visibility` says whether they do.
+    ///
+    /// # Errors
+    /// As a bake.
+    pub fn method<T>(
+        &self,
+        technique: Technique,
+        visibility: Visibility,
+        progress: &dyn Progress,
+        work: impl FnOnce(&dyn Method) -> Result<T, Error>,
+    ) -> Result<T, Error> {
+        let gatherer = match technique {
+            Technique::PathTracing { paths } => {
+                let reference = Reference::new(self.rays, Options::default());
+                return work(&PathTracing::new(&reference, paths));
+            }
+            Technique::Cached(gatherer) => gatherer,
+        };
+        let Cache { surfels, solution, .. } = self.cache(progress)?;
+        let field = Field::build(self.rays, surfels, solution, progress)?;
+        self.straight(visibility, progress, |straight| match gatherer {
+            // The cache itself holds the light of the sky.
+            Gatherer::Lookup => {
+                let straight = Straight { sky: None, ..straight };
+                work(&Reconstruction { straight, reflected: &Lookup::new(&field) })
+            }
+            Gatherer::Final => {
+                let reflected = FinalGather::new(&field, self.settings.gather_rays.0);
+                work(&Reconstruction { straight, reflected: &reflected })
+            }
+            Gatherer::Lightcuts => {
+                let reflected = Lightcuts::build(&field, texels::lightcut_settings(self.settings), progress)?;
+                work(&Reconstruction { straight, reflected: &reflected })
+            }
+        })
+    }
+
+    /// Light that nothing has reflected.
+    fn straight<T>(
+        &self,
+        visibility: Visibility,
+        progress: &dyn Progress,
+        work: impl FnOnce(Straight) -> Result<T, Error>,
+    ) -> Result<T, Error> {
+        let settings = SkySettings { rays: self.settings.sky_rays.0, ..SkySettings::default() };
+        let sky = (!self.scene().sky.is_dark()).then(|| SkyLight::new(self.rays, settings));
+        let sky = sky.as_ref();
+        if self.emitters.is_empty() {
+            return work(Straight { lights: None, sky });
+        }
+        direct::with(self.rays, &self.emitters, self.settings, visibility, progress, |lights| {
+            work(Straight { lights: Some(lights), sky })
+        })
+    }
+}
+
+/// A scene as a bake sees it: its lights parted and at their units.
+struct Unit {
+    scene: Scene,
+    lighting: Lighting,
+    plan: Plan,
+    keys: Keys,
+}
+
+impl Unit {
+    fn of(scene: &Scene, settings: &Settings) -> Self {
+        let mut scene = scene.clone();
+        let lighting = Lighting::part(&mut scene, settings);
+        let plan = Plan::new(&scene, settings);
+        let keys = Keys::new(&scene, &lighting, settings, &plan);
+        Self { scene, lighting, plan, keys }
+    }
+
+    fn baking<'b>(&'b self, settings: &'b Settings, store: Option<&'b Store>) -> Baking<'b> {
+        let Self { lighting, plan, keys, .. } = self;
+        Baking { settings, plan, lighting, keys, store, kept: None, only_stored: false }
+    }
+}
+
+/// The cached solution of a scene: the sum over its light groups.
+fn solved(scene: &Scene, settings: &Settings, store: Option<&Store>, progress: &dyn Progress) -> Result<Cache, Error> {
+    let unit = Unit::of(scene, settings);
+    let geometry = Geometry::new(&unit.scene);
+    let (baking, tracer) = (unit.baking(settings, store), Tracer::new(&geometry, None));
+    let (mut transport, mut journal) = (Transport::default(), Journal::new(progress));
+    let mut sum: Option<(Rc<Surfels>, Solution)> = None;
+    for (number, group) in unit.lighting.groups.iter().enumerate() {
+        let (surfels, mut solution, record) = transport.solution(&baking, &tracer, number, &mut journal)?;
+        transport.facts.add(record, group.factor);
+        solution.direct.iter_mut().chain(&mut solution.indirect).for_each(|e| *e *= group.factor);
+        match &mut sum {
+            None => sum = Some((surfels, solution)),
+            Some((_, sum)) => {
+                sum.direct.iter_mut().zip(&solution.direct).for_each(|(sum, e)| *sum += *e);
+                sum.indirect.iter_mut().zip(&solution.indirect).for_each(|(sum, e)| *sum += *e);
+            }
+        }
+    }
+    let (surfels, solution) = match sum {
+        Some(sum) => sum,
+        None => {
+            let surfels = transport.surfels(&baking, &tracer, &mut journal)?;
+            let dark = vec![Rgb::ZERO; surfels.list.len()];
+            (surfels, Solution { direct: dark.clone(), indirect: dark })
+        }
+    };
+    Ok(Cache { surfels, solution, record: transport.facts.record, stages: journal.close() })
+}
+
+/// A bake's light at texels, with its parts apart.
+pub struct Trial {
+    pub atlas: Arc<Atlas>,
+    pub parts: Parts,
+    pub facts: Facts,
+    /// The stages that ran, with their times.
+    pub stages: Vec<Entry>,
+}
+
+impl Trial {
+    /// Wall-clock time of some stages [s].
+    pub fn seconds(&self, stages: &[Stage]) -> f64 {
+        let wanted = |entry: &&Entry| stages.iter().any(|stage| stage.name() == entry.name);
+        self.stages.iter().filter(wanted).map(|entry| entry.seconds).sum()
+    }
+
+    /// What all stages counted, by the names of the counters.
+    pub fn counted(&self) -> BTreeMap<&str, u64> {
+        let mut sums = BTreeMap::new();
+        for (name, count) in self.stages.iter().flat_map(|entry| &entry.counters) {
+            *sums.entry(name.as_str()).or_default() += count;
+        }
+        sums
+    }
+}
+
+/// The place of a scene's texels.
+///
+/// # Errors
+/// As a bake.
+pub fn lay_out(
+    scene: &Scene,
+    settings: &Settings,
+    progress: &dyn Progress,
+) -> Result<(Arc<Atlas>, AtlasReport), Error> {
+    let unit = Unit::of(scene, settings);
+    atlas::run(&unit.baking(settings, None), &unit.scene, &InProcess, &mut Journal::new(progress))
+}
+
+/// Bakes the light of a scene at the texels of an atlas that [`lay_out`] made of it, in memory.
+///
+/// # Errors
+/// As a bake.
+pub fn attempt(
+    scene: &Scene,
+    settings: &Settings,
+    atlas: &Arc<Atlas>,
+    progress: &dyn Progress,
+) -> Result<Trial, Error> {
+    let unit = Unit::of(scene, settings);
+    let geometry = Geometry::new(&unit.scene);
+    let mut journal = Journal::new(progress);
+    let (parts, facts) = parts(&unit.baking(settings, None), &Tracer::new(&geometry, None), atlas, &mut journal)?;
+    Ok(Trial { atlas: atlas.clone(), parts, facts, stages: journal.close() })
+}
