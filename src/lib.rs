@@ -36,6 +36,7 @@ pub mod plan;
 pub mod preview;
 pub mod settings;
 pub mod store;
+pub mod study;
 pub mod text;
 pub mod watch;
 

@@ -7,6 +7,7 @@ mod export;
 mod fleet;
 mod print;
 mod progress;
+mod report;
 mod watch;
 
 use std::collections::BTreeMap;
@@ -26,7 +27,7 @@ use luxel::text::shown;
 use luxel_export::{ExportError, OutputSet};
 use serde_json::json;
 
-use args::{Bake, Baking, Cli, Common, Export, Task, Watch};
+use args::{Bake, Baking, Cli, Common, Export, Report, Task, Watch};
 use progress::{Reporter, Screen, Style, event, say};
 
 const DONE: u8 = 0;
@@ -52,7 +53,8 @@ pub fn main() -> ExitCode {
         Task::Bake(Baking { bake: args, .. })
         | Task::Plan(args)
         | Task::Watch(Watch { bake: args, .. })
-        | Task::Export(Export { bake: args, .. }) => args.common.json,
+        | Task::Export(Export { bake: args, .. })
+        | Task::Report(Report { bake: args, .. }) => args.common.json,
         Task::Cache(args) => args.places().json,
         Task::Defaults | Task::UnwrapWorker => false,
     };
@@ -61,6 +63,7 @@ pub fn main() -> ExitCode {
         Task::Plan(args) => plan(&args),
         Task::Watch(args) => watch::watch(&args),
         Task::Export(args) => export::export(&args),
+        Task::Report(args) => report::report(&args),
         Task::Cache(args) => cache::cache(&args),
         Task::Defaults => {
             progress::out(&luxel::settings::documented_defaults());
