@@ -13,8 +13,20 @@ use tool::{Run, files, folder, luxel};
 /// A report that takes seconds.
 fn quick(args: &[&str], folder: &TempDir) -> Run {
     const QUICK: [&str; 14] = [
-        "--preset", "draft", "--gather", "lightcuts", "--size", "32", "--voxels", "2000", "--texels", "60", "--noise", "5%",
-        "--paths", "2048",
+        "--preset",
+        "draft",
+        "--gather",
+        "lightcuts",
+        "--size",
+        "32",
+        "--voxels",
+        "2000",
+        "--texels",
+        "60",
+        "--noise",
+        "5%",
+        "--paths",
+        "2048",
     ];
     luxel(&[args, &QUICK].concat(), folder.path())
 }

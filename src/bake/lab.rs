@@ -19,10 +19,10 @@ use luxel_scene::{Progress, Scene};
 use luxel_transport::{
     Rgb,
     direct::Visibility,
-    gather::{Field, FinalGather, Lightcuts, Lookup},
+    gather::{Field, FinalGather, Lightcuts, Lookup, PhotonMap, VoxelSamples, photon_map},
     geometry::Geometry,
     lights::Emitters,
-    methods::{Method, PathTracing, Reconstruction, Straight},
+    methods::{Cached, Method, PathTracing, RandomVoxels, Reconstruction, Straight},
     rays::Rays,
     reference::{Options, Reference},
     sky_light::{SkyLight, SkySettings},
@@ -69,6 +69,12 @@ pub fn on_threads<T: Send>(settings: &Settings, work: impl FnOnce() -> Result<T,
 pub enum Technique {
     /// So many walks a receiver.
     PathTracing { paths: u32 },
+    /// Photon mapping with so many photons, gathered by lightcuts.
+    PhotonMap { photons: u32 },
+    /// Random sample voxels of the cached solution: so many passes of two sets.
+    SampleVoxels { passes: u32 },
+    /// The voxels of the cached solution, shown directly.
+    Voxels,
     /// The cached solution, gathered as the settings say.
     Cached(Gatherer),
 }
@@ -76,8 +82,16 @@ pub enum Technique {
 impl Technique {
     /// It reads the cached solution.
     pub fn is_cached(&self) -> bool {
-        matches!(self, Self::Cached(_))
+        !matches!(self, Self::PathTracing { .. } | Self::PhotonMap { .. })
     }
+}
+
+/// A way to read the cached solution.
+#[derive(Clone, Copy)]
+enum Reading {
+    Voxels,
+    Samples(u32),
+    Gather(Gatherer),
 }
 
 /// The cached solution of all light groups together.
@@ -197,26 +211,59 @@ impl<'a> Lab<'a> {
         progress: &dyn Progress,
         work: impl FnOnce(&dyn Method) -> Result<T, Error>,
     ) -> Result<T, Error> {
-        let gatherer = match technique {
+        match technique {
             Technique::PathTracing { paths } => {
                 let reference = Reference::new(self.rays, Options::default());
-                return work(&PathTracing::new(&reference, paths));
+                work(&PathTracing::new(&reference, paths))
             }
-            Technique::Cached(gatherer) => gatherer,
-        };
+            Technique::PhotonMap { photons } => {
+                let reflected = PhotonMap::build(self.rays, &self.emitters, self.photon_map(photons), progress)?;
+                self.straight(visibility, progress, |straight| {
+                    work(&Reconstruction { straight, reflected: &reflected })
+                })
+            }
+            Technique::SampleVoxels { passes } => self.of_cache(Reading::Samples(passes), visibility, progress, work),
+            Technique::Voxels => self.of_cache(Reading::Voxels, visibility, progress, work),
+            Technique::Cached(gatherer) => self.of_cache(Reading::Gather(gatherer), visibility, progress, work),
+        }
+    }
+
+    fn photon_map(&self, photons: u32) -> photon_map::Settings {
+        photon_map::Settings {
+            photons,
+            threshold: self.settings.cut_error.0,
+            limit: self.settings.cut_limit.0,
+            near_rays: self.settings.near_rays.0,
+            ..photon_map::Settings::default()
+        }
+    }
+
+    /// A method that reads the cached solution.
+    fn of_cache<T>(
+        &self,
+        reading: Reading,
+        visibility: Visibility,
+        progress: &dyn Progress,
+        work: impl FnOnce(&dyn Method) -> Result<T, Error>,
+    ) -> Result<T, Error> {
         let Cache { surfels, solution, .. } = self.cache(progress)?;
         let field = Field::build(self.rays, surfels, solution, progress)?;
-        self.straight(visibility, progress, |straight| match gatherer {
+        self.straight(visibility, progress, |straight| match reading {
+            Reading::Voxels => work(&Cached::new(&field)),
+            Reading::Samples(passes) => {
+                let samples = VoxelSamples::build(&field, passes, progress)?;
+                work(&RandomVoxels { straight, samples: &samples })
+            }
             // The cache itself holds the light of the sky.
-            Gatherer::Lookup => {
+            Reading::Gather(Gatherer::Lookup) => {
                 let straight = Straight { sky: None, ..straight };
                 work(&Reconstruction { straight, reflected: &Lookup::new(&field) })
             }
-            Gatherer::Final => {
+            Reading::Gather(Gatherer::Final) => {
                 let reflected = FinalGather::new(&field, self.settings.gather_rays.0);
                 work(&Reconstruction { straight, reflected: &reflected })
             }
-            Gatherer::Lightcuts => {
+            Reading::Gather(Gatherer::Lightcuts) => {
                 let reflected = Lightcuts::build(&field, texels::lightcut_settings(self.settings), progress)?;
                 work(&Reconstruction { straight, reflected: &reflected })
             }

@@ -99,10 +99,10 @@ fn whole(
     };
     let name = print::written(&found.scene);
     let style = reporter.style();
-    let mut tell = |point: &Point| {
-        if style == Style::Json {
-            event(&json!({ "event": "point", "scene": name, "point": point }));
-        }
+    let mut tell = |point: &Point| match style {
+        Style::Json => event(&json!({ "event": "point", "scene": name, "point": point })),
+        Style::Quiet => {}
+        Style::Lines | Style::Bar => reporter.say(&format!("  {}", run::line(point))),
     };
     let place = (outputs.folder(), outputs.stem());
     let findings = study(&scene, settings, &order, place, store, reporter, &mut tell)?;

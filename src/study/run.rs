@@ -208,6 +208,16 @@ impl Book<'_> {
     }
 }
 
+/// A point in one line.
+pub fn line(point: &Point) -> String {
+    let Point { series, value, method, cpu_seconds, score, .. } = point;
+    let rmse = percent(score.corrected);
+    format!(
+        "{series} {value} ({method}): RMSE {rmse}, bias {:+.2} %, {cpu_seconds:.1} s of processor",
+        100.0 * score.bias
+    )
+}
+
 /// A share in per cent.
 fn percent(share: f64) -> String {
     format!("{:.2} %", 100.0 * share)

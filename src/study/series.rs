@@ -148,6 +148,9 @@ pub fn methods(base: &Settings) -> Vec<Series> {
         trial: Trial::Method(technique, Box::new(settings.clone())),
     };
     let paths = |n: u32| method("path tracing", n, Technique::PathTracing { paths: n }, base);
+    let photons = |n: u32| method("photon map + lightcuts", n, Technique::PhotonMap { photons: n }, base);
+    let passes = |n: u32| method("sample voxels", n, Technique::SampleVoxels { passes: n }, base);
+    let voxels = method("voxels shown", 1, Technique::Voxels, base);
     let lookup = method("look-up", 1, Technique::Cached(Gatherer::Lookup), base);
     let gather = |n: u32| {
         let settings = with(base, "gather_rays", &n.to_string());
@@ -155,6 +158,9 @@ pub fn methods(base: &Settings) -> Vec<Series> {
     };
     vec![
         series("path tracing", "paths a texel", [4, 16, 64, 256, 1024].map(paths).into()),
+        series("photon map", "photons", [1024, 4096, 16_384, 65_536].map(photons).into()),
+        series("sample voxels", "passes of two sets", [1, 2, 4, 8].map(passes).into()),
+        series("voxels shown", "the voxels themselves", vec![voxels]),
         series("look-up", "the cache, interpolated", vec![lookup]),
         series("final gather", "rays a texel", [16, 64, 256].map(gather).into()),
     ]
