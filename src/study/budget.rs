@@ -5,6 +5,7 @@
 //! alone, so it can be stored and a bake with it has the same bytes everywhere. For a time, the last rung wins that
 //! fits into it on this machine; what belongs to texels counts as often as the lightmap has more of them than the trial.
 
+use std::path::Path;
 use std::sync::Arc;
 
 use luxel_atlas::Atlas;
@@ -21,7 +22,7 @@ use crate::bake::artefact;
 use crate::bake::digest::Digest;
 use crate::bake::lab::{self, Lab};
 use crate::plan::Stage;
-use crate::settings::{FIELDS, LightGroups, Settings, value::Texels};
+use crate::settings::{FIELDS, LightGroups, Origin, Resolved, Settings, value::Texels};
 use crate::store::{Kind, Reader, Store};
 
 /// Side of the atlas on which rungs are tried: nodes stand no denser there than in a larger one.
@@ -91,6 +92,29 @@ pub fn for_time(
     })
 }
 
+/// The settings of a scene with those in their place that keep its RMSE below `target`.
+///
+/// # Errors
+/// As a bake, and where no settings keep it.
+pub fn settings_for(
+    path: &Path,
+    resolved: Resolved,
+    target: f64,
+    store: &Store,
+    progress: &dyn Progress,
+) -> Result<Resolved, Error> {
+    let base = &resolved.settings;
+    let choice = lab::on_threads(base, || {
+        let scene = lab::load(path, base, progress)?;
+        for_error(&scene, base, target, Some(store), progress)
+    })?;
+    if !choice.is_reached {
+        return Err(unreached(target, &choice));
+    }
+    let chosen = choice.settings(base);
+    Ok(resolved.changed(chosen, &Origin::Target(format!("{} %", 100.0 * target))))
+}
+
 /// What is said of an error that no rung reaches.
 pub fn unreached(target: f64, choice: &Choice) -> Error {
     let [target, rmse, most] = [target, choice.score.corrected, choice.score.most()].map(|e| 100.0 * e);
@@ -125,7 +149,8 @@ fn climb(
     Lab::with(scene, &small, None, progress, |lab| {
         let digest = Digest::new("choice").number(super::VERSION).text(name).bytes(&lab.identity());
         let digest = Stage::ALL.into_iter().fold(digest, Digest::version);
-        let key = FIELDS.iter().fold(digest, |digest, field| digest.setting(base, field.name)).done();
+        let told = FIELDS.iter().filter(|field| crate::bake::matters(field.name));
+        let key = told.fold(digest, |digest, field| digest.setting(base, field.name)).done();
         let read = |body: &mut Reader| artefact::body::<Choice>(body);
         let kept = store.filter(|_| !name.is_empty());
         if let Some(choice) = kept.and_then(|store| store.get(Kind::Choice, &key, read)) {

@@ -122,19 +122,19 @@ fn paint<'s>(
         .light_line_style(RGBColor(238, 238, 238))
         .bold_line_style(RGBColor(215, 215, 215))
         .draw()?;
+    if !front.is_empty() {
+        let style = RGBColor(205, 205, 205).stroke_width(9);
+        chart
+            .draw_series(LineSeries::new(front.iter().copied(), style))?
+            .label("Pareto front")
+            .legend(move |(x, y)| PathElement::new([(x, y), (x + 18, y)], style));
+    }
     for (line, colour) in lines.iter().zip(COLOURS.into_iter().cycle()) {
         chart
             .draw_series(LineSeries::new(line.points.iter().copied(), colour.stroke_width(2)))?
             .label(&line.name)
             .legend(move |(x, y)| PathElement::new([(x, y), (x + 18, y)], colour.stroke_width(2)));
         chart.draw_series(line.points.iter().map(|p| Circle::new(*p, 3, colour.filled())))?;
-    }
-    if !front.is_empty() {
-        let style = BLACK.mix(0.35).stroke_width(6);
-        chart
-            .draw_series(LineSeries::new(front.iter().copied(), style))?
-            .label("Pareto front")
-            .legend(move |(x, y)| PathElement::new([(x, y), (x + 18, y)], style));
     }
     if noise > 0.0 {
         let style = BLACK.stroke_width(1);
