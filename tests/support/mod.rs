@@ -40,6 +40,15 @@ pub fn scenes() -> Option<PathBuf> {
     None
 }
 
+/// Whether cases run that take longer than a minute (`LUXEL_HEAVY=1`); says so where they do not.
+pub fn is_heavy(name: &str) -> bool {
+    let is_wanted = std::env::var_os("LUXEL_HEAVY").is_some_and(|value| value == "1");
+    if !is_wanted {
+        println!("SKIPPED: {name} (takes longer than a minute; LUXEL_HEAVY=1 runs it)");
+    }
+    is_wanted
+}
+
 /// A texel that counts: at least half covered and not inside geometry.
 pub fn is_valid(lit: &Lit, texel: usize) -> bool {
     lit.atlas.texels[texel].coverage() >= 0.5 && !lit.texels.buried[texel]

@@ -1,0 +1,92 @@
+//! Convergence is shown, not assumed: as voxels, directions, cuts, rays and photons are refined together, the error falls
+//! to what the reference itself does not know, below one per cent of the mean light, and no bias is left.
+
+mod support;
+
+use luxel::bake::lab::{self, Lab};
+use luxel::settings::{LightGroups, Preset, Settings, value::Count, value::Texels};
+use luxel::study::measure::Measure;
+use luxel::study::series::{Attempt, OWN, Trial, together};
+use luxel::study::truth::{self, Exactness};
+use luxel::study::{Score, ladder};
+use luxel_scene::{Scene, Silent};
+
+/// The errors of a scene on some rungs of the ladder. With photons, direct light at surfels comes from as many as the
+/// rung asks for, as in the paper, instead of closed forms.
+fn errors(scene: &Scene, rungs: &[u32], how: Exactness, with_photons: bool) -> Vec<Score> {
+    let base = Settings { size: Texels(96), light_groups: LightGroups::One, ..Settings::preset(Preset::Medium) };
+    lab::on_threads(&base, || {
+        Lab::with(scene, &base, None, &Silent, |lab| {
+            let (atlas, _) = lab::lay_out(scene, &base, &Silent)?;
+            let texels = truth::texels(lab, &atlas, how.texels);
+            let truth = truth::truth(lab, &atlas, texels, &how, None, &Silent)?;
+            let measure = Measure { lab, atlas: &atlas, truth: &truth, store: None, fresh: true };
+            let mut scores = Vec::new();
+            for &rung in rungs {
+                let mut settings = ladder::rung(&base, rung);
+                if with_photons {
+                    settings.photons = Count(1 << (14 + 2 * rung).min(23));
+                }
+                let trial = Trial::Bake(Box::new(settings));
+                let attempt = Attempt { method: OWN.into(), value: rung.to_string(), x: ladder::work(rung), trial };
+                let point = measure.point(&together(&base), &attempt, &Silent)?;
+                let s = point.score;
+                println!(
+                    "{}, rung {rung}{}: {} surfels, RMSE {:.2} ± {:.2} %, bias {:+.2} ± {:.2} %, reference noise {:.2} % \
+                     of {} paths",
+                    scene.name,
+                    if with_photons { " with photons" } else { "" },
+                    point.surfels,
+                    100.0 * s.corrected,
+                    100.0 * s.rmse_error,
+                    100.0 * s.bias,
+                    100.0 * s.bias_error,
+                    100.0 * s.noise,
+                    truth.paths
+                );
+                scores.push(s);
+            }
+            Ok(scores)
+        })
+    })
+    .unwrap_or_else(|e| panic!("{}: {e}", scene.name))
+}
+
+/// Every rung is better than the one before it, the last one is below `most`, and its bias is not told from none by more
+/// than a third of that.
+fn assert_falls(scores: &[Score], most: f64) {
+    assert!(scores.windows(2).all(|w| w[1].corrected < w[0].corrected), "{scores:?}");
+    let last = scores.last().expect("there are rungs");
+    assert!(last.corrected < most, "{last:?}");
+    assert!(last.bias.abs() < last.bias_error + most / 3.0, "{last:?}");
+}
+
+const QUICK: Exactness = Exactness { texels: 250, noise: 0.006, paths: 16_384 };
+const EXACT: Exactness = Exactness { texels: 400, noise: 0.003, paths: 262_144 };
+
+#[test]
+fn the_cornell_box_converges() {
+    assert_falls(&errors(&luxel_assets::cornell(), &[0, 2, 4], QUICK, false), 0.012);
+}
+
+#[test]
+fn two_rooms_converge() {
+    assert_falls(&errors(&luxel_assets::two_rooms(), &[0, 2, 4], QUICK, false), 0.02);
+}
+
+#[test]
+fn photons_converge_too() {
+    assert_falls(&errors(&luxel_assets::cornell(), &[0, 2, 4], QUICK, true), 0.015);
+}
+
+#[test]
+fn the_cornell_box_and_two_rooms_converge_below_one_per_cent() {
+    if !support::is_heavy("convergence to the noise of the reference") {
+        return;
+    }
+    for scene in [luxel_assets::cornell(), luxel_assets::two_rooms()] {
+        for with_photons in [false, true] {
+            assert_falls(&errors(&scene, &[0, 2, 4, 6], EXACT, with_photons), 0.01);
+        }
+    }
+}
