@@ -185,3 +185,6 @@ fn area(rays: &Rays) -> f64 {
     };
     (0..geometry.triangles.len() as u32).map(side).sum()
 }
+
+#[cfg(test)]
+mod tests;
