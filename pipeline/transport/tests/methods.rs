@@ -26,7 +26,7 @@ use luxel_transport::{
 
 /// Surface points asked for in each scene, and walks of the reference at each.
 const POINTS: u32 = 200;
-const PATHS: u32 = 1 << 13;
+const PATHS: u32 = 1 << 12;
 
 fn mean(rgb: Rgb) -> f64 {
     f64::from(rgb.element_sum()) / 3.0
@@ -116,7 +116,7 @@ fn compare(scene: &Scene) {
     let cached = Cached::new(&field);
     println!("{:?}", cached.count(&receivers));
     let rows: [Row; 7] = [
-        ("path tracing, 64 walks", &PathTracing::new(&tracer, 64), 0.0, 3.0, 15.0),
+        ("path tracing, 64 walks", &PathTracing::new(&tracer, 64), 0.0, 4.0, 30.0),
         ("photon map + lightcuts", &Reconstruction { straight, reflected: &map }, mapped, 1.5, 4.0),
         ("random sample voxels", &RandomVoxels { straight, samples: &samples }, solved, 2.0, 6.0),
         ("cached voxels", &cached, solved, 4.0, 25.0),

@@ -26,14 +26,16 @@ fn check(world: &World, receivers: &[Receiver], expected: &[f64], voxels: f64, n
         println!("{name}: {which} {:+.3} %, rms {:.3} %", 100.0 * bias, 100.0 * rms);
         assert!(bias.abs() < voxels && rms < 2.5 * voxels, "{name}: {which} {bias} {rms}");
     }
-    // Random voxels: the errors that they state hold for the mean.
+    // Random voxels: the errors that they state hold for the mean, up to what patches as points make of edges (lightcuts
+    // have a control variate for that): 0.6 % of the reflected light with 24 voxels a side.
+    let patches = voxels + 0.004;
     let samples = VoxelSamples::new(world.field, 16);
     let found = light(&RandomVoxels { straight, samples: &samples }, receivers);
     let (bias, rms) = moments(found.iter().zip(expected).map(|(l, e)| error(l, e)));
     let (_, stated) = moments(found.iter().map(|l| f64::from(l.error.unwrap()) / scale));
     println!("{name}: random voxels {:+.3} %, rms {:.3} %, stated {:.3} %", 100.0 * bias, 100.0 * rms, 100.0 * stated);
-    assert!(bias.abs() < 3.0 * stated / (receivers.len() as f64).sqrt() + voxels, "{name}: random voxels {bias}");
-    assert!(rms < 2.0 * stated + 2.5 * voxels, "{name}: random voxels {rms}, stated {stated}");
+    assert!(bias.abs() < 3.0 * stated / (receivers.len() as f64).sqrt() + patches, "{name}: random voxels {bias}");
+    assert!(rms < 2.0 * stated + 2.5 * patches, "{name}: random voxels {rms}, stated {stated}");
     // Photon maps: their spread, and half a per cent of bias for the density that near rays see.
     let (bias, sigma) = of_maps(world, 5_000, 6, receivers, expected);
     println!("{name}: photon map {:+.3} % ± {:.3} %", 100.0 * bias, 100.0 * sigma);

@@ -1,6 +1,7 @@
 //! Scenes without a closed form: every method against the reference.
 
 use super::*;
+use crate::rays::OFFSET;
 
 /// An open box with a lamp in its ceiling, coloured walls and a block: 1 m wide, like Cornell's.
 pub fn room() -> Scene {
@@ -66,11 +67,11 @@ fn every_method_finds_the_light_of_the_reference() {
 #[test]
 fn path_tracing_knows_its_error() {
     with(&room(), 8, |world| {
-        let (receivers, truth) = known(world, 150, 1 << 11);
+        let (receivers, truth) = known(world, 150, 1 << 12);
         let tracer = Reference::new(world.rays, Options::default());
         // Other seeds: the same walks would agree with themselves.
         let others: Vec<Receiver> = receivers.iter().map(|r| Receiver { seed: r.seed ^ 77, ..*r }).collect();
-        let found = light(&PathTracing::new(&tracer, 128), &others);
+        let found = light(&PathTracing::new(&tracer, 1024), &others);
         let z = |l: &Light, t: &Light| {
             let (a, b) = (f64::from(l.error.unwrap()), f64::from(t.error.unwrap()));
             (mean(l.total()) - mean(t.total())) / (a * a + b * b).sqrt()
@@ -81,7 +82,7 @@ fn path_tracing_knows_its_error() {
         assert!(beyond <= 5 && mean_z.abs() < 3.0 / (truth.len() as f64).sqrt() && (0.85..1.2).contains(&rms));
         let error = |lights: &[Light]| moments(lights.iter().map(|l| f64::from(l.error.unwrap()))).1;
         let ratio = error(&found) / error(&truth);
-        assert!((3.2..6.0).contains(&ratio), "16 times the walks leave 1/{ratio} of the error");
+        assert!((1.6..2.6).contains(&ratio), "4 times the walks leave 1/{ratio} of the error");
     });
 }
 
@@ -99,18 +100,30 @@ fn errors_fall_with_the_root_of_the_work() {
         };
         let ((few, _), (many, tallies)) = (spread(4), spread(64));
         println!("random voxels: 16 times the draws leave 1/{:.2} of the error", few / many);
-        assert!((2.8..12.0).contains(&(few / many)), "{few} {many}");
+        // Independent draws leave 1/4; points of a sequence do better, at best in proportion to their number.
+        assert!((2.8..20.0).contains(&(few / many)), "{few} {many}");
         // Passes only add: in two goes or in one, bit by bit.
         let mut again = vec![voxel_samples::Tally::default(); receivers.len()];
         for passes in [10, 54] {
             samples.add(&receivers, &mut again, passes, &Silent).unwrap();
         }
         assert_eq!(again, tallies);
+        // Nearer than 3 h to another surface the noise stays as the region shrinks: only points away from all others.
+        let near = world.geometry.frame.length(0.25);
+        let is_open = |r: &Receiver| {
+            (0..64).all(|i| {
+                let local = sampling::cosine_hemisphere(sampling::r2(i, Vec2::splat(0.4)));
+                let direction = (sampling::basis(r.normal) * local).normalize();
+                world.rays.closest(r.position + r.normal * OFFSET, direction, near).is_none()
+            })
+        };
+        let open: Vec<Receiver> = super::receivers(world.geometry, 600).into_iter().filter(is_open).take(60).collect();
+        assert!(open.len() >= 30, "{}", open.len());
         // Every photon for itself: a cut's own error does not fall with their number.
         let map = |photons, seed| {
             let settings = photon_map::Settings { photons, seed, threshold: 0.0, limit: u32::MAX, near_rays: 32 };
             let map = PhotonMap::new(world.rays, world.emitters, settings);
-            map.gather(&receivers, &Silent).unwrap()
+            map.gather(&open, &Silent).unwrap()
         };
         // The difference of two independent maps is √2 times the noise of one.
         let noise = |photons| {
