@@ -45,11 +45,16 @@ pub struct Options {
     pub bounces: Option<u32>,
     /// Aims at emitters and image skies; without it only random directions find them. Lamps are aimed at anyway.
     pub next_event: bool,
+    /// Ends walks by Russian roulette; without it only [`Options::bounces`] and [`LONGEST`] do.
+    pub roulette: bool,
 }
+
+/// Reflections of a walk that nothing else ends: what is left of albedo 0.999 is then a ten-thousandth.
+pub const LONGEST: u32 = 9_000;
 
 impl Default for Options {
     fn default() -> Self {
-        Self { bounces: None, next_event: true }
+        Self { bounces: None, next_event: true, roulette: true }
     }
 }
 

@@ -9,10 +9,11 @@
 //! its text wants, the two differ by the constant factor ΣA/π, which is what its pictures must have been scaled by; with
 //! the solid angle in p no constant does. Here p is known for every draw, so the estimator is right as it stands.
 //!
-//! **Draws.** From the root of the light tree down, each half with the weight A·K⁺: the area of its surfels times the
-//! bound of the kernel at the receiver ([`Vantage::bound`]), which is the paper's area times solid angle for a whole
-//! cluster; for a single surfel A·K. p is the product of the shares on the way. Where A·K > 0, so are all weights above
-//! it, since K⁺ ≥ K: no surfel that shines on the receiver is left out. B has no part in p, as in the paper.
+//! **Draws.** From the root of the light tree down, each half with the weight A·K*: the area of its surfels times about
+//! what the kernel is for the cluster ([`Vantage::promise`]), the paper's area times solid angle; for a single surfel
+//! A·K. p is the product of the shares on the way. K* is positive where K of any surfel below is, so no surfel that
+//! shines on the receiver is left out. The bound K⁺ of lightcuts would do as well for that, but nodes of the receiver's
+//! own wall touch it: their bound is the cap, and nearly all draws would end there. B has no part in p, as in the paper.
 //!
 //! **Two sets.** Draws are points of a Kronecker sequence of the golden ratio through the tree's order, shifted at random
 //! for each receiver and set: two independent estimates a and b without bias. The result is their mean, and |a − b|/2
@@ -192,7 +193,7 @@ impl<'a> VoxelSamples<'a> {
         }
     }
 
-    /// A·K⁺ of a cluster.
+    /// A·K* of a cluster.
     fn weight(&self, vantage: &Vantage, cluster: Cluster) -> f64 {
         let (area, kernel) = match cluster {
             Cluster::Light(light) => {
@@ -201,7 +202,7 @@ impl<'a> VoxelSamples<'a> {
             }
             Cluster::Node(branch) => {
                 let node = self.tree.node(branch);
-                (node.area, vantage.bound(&node))
+                (node.area, vantage.promise(&node))
             }
         };
         f64::from(area) * f64::from(kernel)

@@ -73,6 +73,20 @@ impl Vantage {
         (near * far / square * ROUNDING).min(self.cap)
     }
 
+    /// About what the kernel is over a node: largest height over the receiver's plane and largest cos θ′, at the distance
+    /// of the middle but no nearer than the half diagonal. No bound; positive wherever a light of the node has a kernel.
+    pub fn promise(&self, node: &Node) -> f32 {
+        let half = 0.5 * (node.hi - node.lo) + SLACK;
+        let d = 0.5 * (node.hi + node.lo) - self.position;
+        let height = self.frame.z_axis.dot(d) + self.absolute.z_axis.dot(half);
+        if height <= 0.0 {
+            return 0.0;
+        }
+        let square = d.length_squared().max(half.length_squared());
+        let near = (height / square.sqrt()).min(1.0);
+        (near * emitter_cosine(node, -d, half) / square).min(self.cap)
+    }
+
     /// Upper bound of cos θ over a box: its highest point over the least distance from the normal's line.
     fn cosine(&self, d: Vec3, half: Vec3) -> f32 {
         let z = self.frame.z_axis.dot(d) + self.absolute.z_axis.dot(half);
@@ -153,10 +167,12 @@ mod tests {
                 let v = Vantage::new(&r, cap.unwrap_or(f32::INFINITY));
                 for branch in tree.branches() {
                     let bound = v.bound(&tree.node(branch));
+                    let promise = v.promise(&tree.node(branch));
                     prop_assert!(!bound.is_nan() && bound >= 0.0);
                     for (_, l) in tree.below(branch) {
                         let k = v.kernel(&l);
                         prop_assert!(k <= bound, "kernel {k} above bound {bound}");
+                        prop_assert!(promise.is_finite() && (k <= 0.0 || promise > 0.0), "kernel {k} not promised");
                     }
                 }
             }

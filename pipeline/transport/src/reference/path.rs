@@ -5,7 +5,7 @@ use std::f64::consts::{FRAC_1_PI, PI};
 use glam::{DVec3, Vec2, Vec3};
 
 use super::{
-    Light, Reference,
+    LONGEST, Light, Reference,
     lamps::Shine,
     noise::{Noise, Use, pick, weight},
 };
@@ -56,6 +56,8 @@ impl Reference<'_> {
         let mut light = Light::default();
         // What a lux at this vertex is worth at the receiver.
         let mut worth = DVec3::ONE;
+        let longest = if self.options.roulette { u32::MAX } else { LONGEST };
+        let last = self.options.bounces.map_or(longest, |bounces| bounces.min(longest));
         for depth in 0.. {
             let (straight, sky, next) = self.vertex(&vertex, depth, noise, scratch);
             if depth == 0 {
@@ -66,10 +68,10 @@ impl Reference<'_> {
             }
             let Some(next) = next else { break };
             worth *= next.share * (next.total / next.weight);
-            if self.options.bounces.is_some_and(|bounces| depth >= bounces) {
+            if depth >= last {
                 break;
             }
-            if depth >= SURE {
+            if depth >= SURE && self.options.roulette {
                 let survival = worth.max_element().min(1.0);
                 if !worth.is_finite() || noise.number() >= survival {
                     break;
@@ -215,4 +217,18 @@ impl Reference<'_> {
 fn heuristic(own: f64, other: f64) -> f64 {
     let ratio = other / own;
     1.0 / (1.0 + ratio * ratio)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_weights_of_two_techniques_for_one_light_add_up_to_one() {
+        for (a, b) in [(1.0, 1.0), (0.3, 20.0), (1e-9, 1e9), (5.0, 0.0)] {
+            let other = if b > 0.0 { heuristic(b, a) } else { 0.0 };
+            assert!((heuristic(a, b) + other - 1.0f64).abs() < 1e-12);
+        }
+        assert!(heuristic(2.0, 1.0) > heuristic(1.0, 1.0));
+    }
 }

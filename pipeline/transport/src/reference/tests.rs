@@ -254,3 +254,48 @@ fn a_scene_without_light_and_a_receiver_without_a_normal_get_nothing() {
     receiver.normal = Vec3::ZERO;
     assert_eq!(Reference::new(&rays, Options::default()).irradiance(&receiver, 64), Estimate::default());
 }
+
+/// With and without roulette, both to the twelfth reflection: the same light, and the roulette's walks are shorter.
+#[test]
+fn russian_roulette_changes_noise_and_nothing_else() {
+    let scene = room();
+    let geometry = Geometry::new(&scene);
+    let rays = Rays::new(&geometry);
+    let bounces = Some(12);
+    let with = Reference::new(&rays, Options { bounces, ..Options::default() });
+    let without = Reference::new(&rays, Options { bounces, roulette: false, ..Options::default() });
+    let (mut chi, mut sum, mut count) = (0.0, 0.0, 0.0f32);
+    for triangle in 0..geometry.triangles.len() as u32 {
+        let at = |seed: u32| Receiver::on_triangle(&geometry, triangle, 0.3, 0.4, 1.0, u64::from(seed));
+        let (a, b) = (with.irradiance(&at(triangle), 1 << 10), without.irradiance(&at(triangle + 1000), 1 << 10));
+        assert_ne!(a.indirect, b.indirect);
+        let variance = a.standard_error * a.standard_error + b.standard_error * b.standard_error;
+        if variance > 0.0 {
+            let z = (mean(a.total) - mean(b.total)) / variance.sqrt();
+            chi += z * z;
+            sum += z;
+            count += 1.0;
+        }
+    }
+    assert!(count > 20.0 && chi < count + 3.0 * libm::sqrtf(2.0 * count), "χ² {chi} of {count}");
+    assert!(sum.abs() < 3.0 * count.sqrt(), "mean z {} of {count}", sum / count);
+}
+
+/// A furnace of albedo 0.9, whose light is mostly that of walks that roulette may end.
+#[test]
+fn roulette_keeps_the_light_of_long_walks() {
+    let mut b = Builder::new("furnace");
+    let hot = b.emitter(Vec3::splat(0.9), Vec3::ONE);
+    b.cuboid("box", Vec3::ZERO, Vec3::ONE, hot, true);
+    let scene = b.build();
+    let geometry = Geometry::new(&scene);
+    let rays = Rays::new(&geometry);
+    let receiver = Receiver::on_triangle(&geometry, 0, 0.3, 0.3, 1.0, 1);
+    let on = Reference::new(&rays, Options::default()).irradiance(&receiver, 1 << 14);
+    check(mean(on.total), on.standard_error, 10.0 * PI, 0.01);
+    let off = Reference::new(&rays, Options { roulette: false, bounces: Some(150), ..Options::default() });
+    let off = off.irradiance(&receiver, 1 << 7);
+    // 0.9¹⁵¹ is what the last reflections would bring. Every walk but for next events brings the same.
+    let expected = 10.0 * PI * (1.0 - libm::powf(0.9, 151.0));
+    check(mean(off.total), off.standard_error, expected, 0.01);
+}

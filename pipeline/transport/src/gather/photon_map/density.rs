@@ -2,11 +2,11 @@
 //! (Christensen 1999).
 //!
 //! ```text
-//! E(x) ≈ Σⱼ Φⱼ / A(x, r)      over the K − 1 photons nearest to x, r the distance of the K-th
+//! E(x) ≈ Σⱼ Φⱼ / A(x, r)      over x itself and the K − 1 photons nearest to it, r the distance of the K-th
 //! ```
 //!
-//! x is a photon itself and does not count, nor does the K-th: so the mean is right where photons fall independently and
-//! evenly. Only photons in a flat cylinder count, of radius r about x and ±0.3 r high, whose surfaces look the same way.
+//! That has no bias where photons fall independently and evenly with density λ: a point that asks for the nearest photon
+//! lies in an empty disc of mean area 1/λ, which lacks one photon, and the photon x itself makes up for it. Only photons in a flat cylinder count, of radius r about x and ±0.3 r high, whose surfaces look the same way.
 //!
 //! A(x, r) is not πr² but the part of the disc that really is surface, from short probe rays: across the cylinder's upper
 //! end, then down. It ends at edges and walls, so corners are not dark. Where a probe meets a wall, every photon has to
@@ -113,7 +113,8 @@ impl Maker<'_> {
             let flat = (at - position).dot(normal).abs() <= HEIGHT * radius;
             flat && (!divided || self.is_open(position + lift, at - (at - position).dot(normal) * normal + lift))
         };
-        let flux: Rgb = found.iter().filter(counts).map(|f| self.deposits[f.point as usize].flux).sum();
+        let others: Rgb = found.iter().filter(counts).map(|f| self.deposits[f.point as usize].flux).sum();
+        let flux = self.deposits[i as usize].flux + others;
         let area = PI * radius * radius * share;
         let irradiance = if area > 0.0 { flux / area } else { Rgb::ZERO };
         Estimate { position, normal, irradiance, radius }
