@@ -37,7 +37,8 @@ pub mod preview;
 pub mod settings;
 pub mod store;
 pub mod text;
+pub mod verify;
 pub mod watch;
 
-pub use bake::{Baked, Kept, Lit, Request, bake, bake_drafted, bake_scene, export, plan_file};
+pub use bake::{Baked, Kept, Lit, Request, bake, bake_drafted, bake_scene, bake_verified, export, plan_file};
 pub use error::Error;

@@ -67,12 +67,12 @@ impl Kind {
             Self::Layout => (b"Lay", 1),
             Self::Surfels => (b"Srf", 1),
             Self::Shoot => (b"Sht", 1),
-            Self::Solution => (b"Sol", 1),
+            Self::Solution => (b"Sol", 2),
             Self::Clear => (b"Clr", 1),
             Self::Direct => (b"Dir", 1),
             Self::Sky => (b"Sky", 1),
-            Self::Gather => (b"Gth", 1),
-            Self::Finish => (b"Fin", 1),
+            Self::Gather => (b"Gth", 2),
+            Self::Finish => (b"Fin", 2),
         };
         let mut magic = *b"luxel\0\0\0";
         magic[5..].copy_from_slice(letters);
