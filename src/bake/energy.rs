@@ -147,12 +147,15 @@ fn comparable(scene: &Scene) -> Vec<bool> {
     scene.instances.iter().map(is).collect()
 }
 
-/// Flux through the texels of the surfaces that [`Books::receive`] looks at [lm].
-pub fn through_texels(scene: &Scene, atlas: &Atlas, light: &Parts) -> [f64; 3] {
+/// Flux through the texels of the surfaces that [`Books::receive`] looks at [lm]. Of texels that something else partly
+/// covers those count whose points are free, with all of their area: the midpoint rule. So the `moved` ones do not, by
+/// rising index.
+pub fn through_texels(scene: &Scene, atlas: &Atlas, light: &Parts, moved: &[usize]) -> [f64; 3] {
     let comparable = comparable(scene);
     let mut sum = DVec3::ZERO;
     for (i, texel) in atlas.texels.iter().enumerate() {
-        if !light.buried[i] && comparable[atlas.chart(texel).instance as usize] {
+        let is_free = !light.buried[i] && moved.binary_search(&i).is_err();
+        if is_free && comparable[atlas.chart(texel).instance as usize] {
             let area = f64::from(texel.footprint()) * f64::from(texel.footprint()) * f64::from(texel.coverage());
             sum += light.total(i).as_dvec3() * area;
         }

@@ -349,6 +349,7 @@ fn texel_light(
     let Baking { settings, plan, lighting, .. } = baking;
     let mut transport = Transport::default();
     let mut sum: Option<Parts> = None;
+    let mut moved = Vec::new();
     if plan.runs(Stage::Clear) && !lighting.groups.is_empty() {
         let key = &baking.keys.clear;
         let store = baking.store.map(|store| (store, key));
@@ -371,6 +372,7 @@ fn texel_light(
             }
         }
         journal.group = None;
+        moved.extend(receivers.sides[0].moved());
     }
     for stage in Stage::ALL.into_iter().filter(|stage| (Stage::Rays..=Stage::Gather).contains(stage)) {
         journal.left_out_unless_run(plan, stage);
@@ -378,7 +380,7 @@ fn texel_light(
     let parts = sum.unwrap_or_else(|| Parts::dark(atlas.texels.len(), plan.states_bound(settings)));
     // Where a texel holds the light of two sides, or a part of it, surfels have nothing to compare it with.
     if settings.double_sided == DoubleSided::Front && settings.only == Only::All {
-        transport.facts.gathered(energy::through_texels(tracer.geometry.scene, atlas, &parts));
+        transport.facts.gathered(energy::through_texels(tracer.geometry.scene, atlas, &parts, &moved));
     }
     let (light, sums) = parts.merged(atlas);
     Ok((light, sums, transport.facts))

@@ -8,7 +8,8 @@ use super::sample::{Baked, Drawn, walk};
 use super::score::y;
 use super::{FIRST, Found, MOST, Trial, Verify};
 use crate::Error;
-use crate::bake::energy::{self, LIMIT};
+use crate::bake::energy;
+pub use crate::bake::energy::LIMIT;
 use crate::text::plain;
 
 /// Share of the charts' area that may lie on another chart: what exporters round.
@@ -24,6 +25,9 @@ const SEEN: f64 = 2e-3;
 
 /// Texels that are looked at for leaks, for each that is compared.
 const PROBES: u64 = 8;
+
+/// The brightest of them that a few paths find dark are traced by many.
+const SUSPECTS: usize = 64;
 
 /// Seed of their draw.
 const SEED: u64 = 0x1ea4;
@@ -114,6 +118,9 @@ pub(crate) fn leaks(trial: &Trial, ask: &Verify, found: &Found, mean: f64) -> Re
     let mut probes = Drawn::all(&trial.baked, trial.rays, texels, trial.holds);
     walk(&trial.reference, &mut probes, (FIRST, SEED), trial.progress)?;
     probes.retain(|d| y(d.sample(&trial.baked, trial.holds).expected) <= DARK * mean);
+    let found_light = |d: &Drawn| y(trial.baked.value(d.texel));
+    probes.sort_by(|a, b| found_light(b).total_cmp(&found_light(a)).then(a.texel.cmp(&b.texel)));
+    probes.truncate(SUSPECTS);
     walk(&trial.reference, &mut probes, (MOST / 2, SEED + 1), trial.progress)?;
     let mut leaks = Leaks { probed: more, dark: 0, places: Vec::new(), mean };
     let mut seen = std::collections::BTreeSet::new();
