@@ -20,7 +20,7 @@ use serde_json::Value;
 use tool::{Run, files, folder, luxel as tool_luxel};
 
 /// A good bake within a moment.
-const GOOD: [&str; 6] = ["--size", "64", "--voxels", "20000", "--verify", "100"];
+const GOOD: [&str; 6] = ["--size", "64", "--voxels", "20000", "--verify", "64"];
 /// As bad as can be had.
 const BAD: [&str; 10] =
     ["--size", "64", "--voxels", "200", "--directions", "8", "--refresh", "0", "--gather", "lookup"];
@@ -60,7 +60,7 @@ fn a_good_bake_passes_and_a_bad_one_leaves_its_files() {
     let number = |name: &str| v[name].as_f64().unwrap_or_else(|| panic!("{name}: {v}"));
     assert!(number("rmse_low") <= number("rmse") && number("rmse") <= number("rmse_high"), "{v}");
     assert!(number("rmse_high") <= 0.05 && number("bias").abs() < 0.02, "{v}");
-    assert!(number("texels") > 80.0 && number("drawn") == 100.0 && number("paths") >= 256.0, "{v}");
+    assert!(number("texels") > 50.0 && number("drawn") == 64.0 && number("paths") >= 256.0, "{v}");
     assert!(v["worst"][0]["object"].is_string() && v["worst"][0]["position"][2].is_number(), "{v}");
     let names = ["uv-overlap", "buried", "leaks", "energy", "values"];
     assert!(names.iter().all(|name| check(&report, name)["passed"] == true), "{}", report["checks"]);
@@ -286,7 +286,7 @@ fn a_verified_bake_says_what_it_is_asked() {
 fn figures_do_not_depend_on_threads_or_on_what_was_stored() {
     let folder = folder(&["two_rooms.glb"]);
     let (at, place) = (folder.path(), folder.path().join("baked/two_rooms.bake.json"));
-    let flags = ["--size", "48", "--voxels", "6000", "--verify", "32"];
+    let flags = ["--size", "48", "--voxels", "6000", "--verify", "16"];
     let told = |more: &[&str]| {
         run(&[&["bake", "two_rooms.glb"], &flags, more], at).ended(0);
         let report = report(at, "two_rooms");

@@ -136,7 +136,7 @@ impl Trial<'_> {
     /// Why nothing can be compared.
     fn nothing(&self) -> Option<String> {
         let scene = self.rays.geometry.scene;
-        if self.population.len() == 0 {
+        if self.population.is_empty() {
             return Some("no texel is shown".into());
         }
         let is_dark = Emitters::new(self.rays.geometry).is_empty() && scene.sky.is_dark();

@@ -129,6 +129,10 @@ impl Population {
         self.texels.len()
     }
 
+    pub fn is_empty(&self) -> bool {
+        self.texels.is_empty()
+    }
+
     /// So many texels, each with the weight of its area: 1 where the draw follows area, and all texels with their areas
     /// where there are no more than are asked for.
     pub fn draw(&self, count: usize, seed: u64) -> Vec<(usize, f64)> {
@@ -249,7 +253,7 @@ pub fn walk(
                 }
                 Ok(())
             };
-            drawn.par_iter_mut().enumerate().try_for_each(|item| one(item))?;
+            drawn.par_iter_mut().enumerate().try_for_each(one)?;
             (left, step) = (left - now, step + 1);
         }
     }

@@ -19,6 +19,9 @@
 //!   method. Few texels hold most of a squared error, and of such a mean a symmetric interval would be too short above.
 //! - bias: normal, by the delta method.
 //! - percentiles: order statistics, whose ranks are binomial.
+//!
+//! In trials on texels of a Cornell box (`tests/verify.rs`) 91 % of the intervals of 100 texels held the RMSE, and on
+//! synthetic errors (below) 95 % of those of 400.
 
 use luxel_transport::Rgb;
 use luxel_transport::sampling::combine;
