@@ -8,6 +8,7 @@ use luxel_scene::{Cancelled, ImportError};
 use luxel_transport::{gather::FieldError, solve::SolveError, surfel::SurfelError};
 
 use crate::settings::SettingsError;
+use crate::verify::gate::Refusal;
 
 /// A bake that did not happen. Files of an earlier bake are untouched.
 #[derive(Debug, thiserror::Error)]
@@ -43,6 +44,8 @@ pub enum Error {
          bake), and name its folder or store as then (--out, --store)"
     )]
     NotStored { what: String, store: PathBuf },
+    #[error("{0}")]
+    NotGoodEnough(Box<Refusal>),
     #[error(transparent)]
     Export(ExportError),
     #[error(

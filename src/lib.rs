@@ -22,7 +22,7 @@
 //! | preview | `Lightmap`s → picture | any of the above | nothing receives light |
 //! | export | everything → .exr, .glb, .png, .json | any of the above | never |
 //!
-//! [`plan`] decides what is left out before anything runs, and the report tells it. No stage reads a clock or the
+//! [`verify`] measures the error of a finished lightmap, before export, where that is asked for. [`plan`] decides what is left out before anything runs, and the report tells it. No stage reads a clock or the
 //! number of threads to decide a value. Import and export touch files, and every stage that costs time leaves an artefact
 //! in the [`store`], under the digest of what it reads, from which the next bake takes it.
 
@@ -38,7 +38,8 @@ pub mod settings;
 pub mod store;
 pub mod study;
 pub mod text;
+pub mod verify;
 pub mod watch;
 
-pub use bake::{Baked, Kept, Lit, Request, bake, bake_drafted, bake_scene, export, plan_file};
+pub use bake::{Baked, Kept, Lit, Request, bake, bake_drafted, bake_scene, bake_verified, export, plan_file};
 pub use error::Error;

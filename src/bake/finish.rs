@@ -64,7 +64,7 @@ impl Finished {
     pub fn lit(self, atlas: Arc<Atlas>, atlas_report: AtlasReport) -> Lit {
         let Self { summary: Summary { sums, surfels, record, .. }, lightmaps, bounds } = self;
         let transport = Facts { surfels, record };
-        Lit { atlas, atlas_report, texels: TexelLight::default(), lightmaps, bounds, sums, transport }
+        Lit { atlas, atlas_report, lightmaps, bounds, sums, transport, ..Lit::default() }
     }
 }
 

@@ -7,6 +7,7 @@ mod cause;
 pub(crate) mod digest;
 mod direct;
 mod draft;
+pub(crate) mod energy;
 mod export;
 mod finish;
 mod foresee;
@@ -29,6 +30,7 @@ mod tracer;
 mod transport;
 mod turns;
 mod upstream;
+mod verify;
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
@@ -43,9 +45,11 @@ use luxel_transport::geometry::Geometry;
 
 use crate::Error;
 use crate::plan::{Plan, Stage};
-use crate::settings::{Resolved, Settings};
+use crate::settings::{DoubleSided, Only, Resolved, Settings};
 use crate::store::StoreOptions;
+use crate::verify::{Verified, Verify};
 use baking::{Baking, Tidy, light_of, not_stored};
+pub(crate) use direct::with as direct_light;
 use finish::Seams;
 use groups::Lighting;
 use journal::Journal;
@@ -105,6 +109,8 @@ pub struct Lit {
     pub bounds: Vec<BoundMap>,
     pub(crate) sums: light::Sums,
     pub(crate) transport: transport::Facts,
+    /// Its error, where that was asked for.
+    pub(crate) verified: Option<Verified>,
 }
 
 /// What of the light at texels outlives the images that are made of it.
@@ -124,6 +130,20 @@ pub fn bake(request: &Request, progress: &dyn Progress) -> Result<Baked, Error> 
 /// How many makes no difference to any byte but those of the times in the report.
 pub fn bake_in_turn(request: &Request, gate: &dyn Gate, progress: &dyn Progress) -> Result<Baked, Error> {
     begin(request, Order::default(), gate, progress)
+}
+
+/// [`bake_in_turn`] that compares its lightmap with the reference before it replaces anything, and puts what it finds into
+/// the report. The lightmap has the bytes of a bake that does not.
+///
+/// # Errors
+/// As a bake; [`Error::NotGoodEnough`] where there is a limit and the lightmap does not keep it.
+pub fn bake_verified(
+    request: &Request,
+    verify: &Verify,
+    gate: &dyn Gate,
+    progress: &dyn Progress,
+) -> Result<Baked, Error> {
+    begin(request, Order { verify: Some(*verify), ..Order::default() }, gate, progress)
 }
 
 /// [`bake`] with a draft first where light has to be gathered at texels: the same files from the same unwrap, lit
@@ -156,6 +176,8 @@ struct Order<'a> {
     mix: Option<&'a Mix>,
     /// A draft first, and who is told of it.
     drafted: Option<&'a mut (dyn FnMut(Baked) + Send)>,
+    /// The lightmap's error, before files are replaced.
+    verify: Option<Verify>,
 }
 
 fn begin(request: &Request, order: Order, gate: &dyn Gate, progress: &dyn Progress) -> Result<Baked, Error> {
@@ -180,7 +202,7 @@ fn begin(request: &Request, order: Order, gate: &dyn Gate, progress: &dyn Progre
 fn run(
     request: &Request,
     opened: input::Opened,
-    Order { mix, drafted }: Order,
+    Order { mix, drafted, verify }: Order,
     mut journal: Journal,
     start: Instant,
 ) -> Result<Baked, Error> {
@@ -226,7 +248,10 @@ fn run(
         drafted(draft::bake(&outgoing, &baking, (atlas.clone(), atlas_report.clone()), &mut journal)?);
         besides = (start.elapsed() - begun).as_secs_f64();
     }
-    let lit = light(&baking, &tracer, (atlas, atlas_report), Keep::Images, &mut journal)?;
+    let mut lit = light(&baking, &tracer, (atlas, atlas_report), Keep::Images, &mut journal)?;
+    if let Some(ask) = verify {
+        lit.verified = Some(verify::judge(&baking, &tracer, &lit, &ask, &mut journal)?);
+    }
     let picture = export::preview(&baking, &tracer, &lit, &mut journal)?;
     let figures = (store.take_notes(), start.elapsed().as_secs_f64() - besides);
     let mut baked = outgoing.write(&baking, &lit, picture.as_deref(), Effort::Small, figures, journal)?;
@@ -311,7 +336,7 @@ fn light(
         };
         finish::run(baking, scene, &atlas, light, (&sums, &facts), Seams::Stitched, journal)?
     };
-    Ok(Lit { atlas, atlas_report, texels, lightmaps, bounds, sums, transport: facts })
+    Ok(Lit { atlas, atlas_report, texels, lightmaps, bounds, sums, transport: facts, verified: None })
 }
 
 /// The light of all groups at texels, summed in their order.
@@ -336,6 +361,7 @@ fn parts(
     let Baking { settings, plan, lighting, .. } = baking;
     let mut transport = Transport::default();
     let mut sum: Option<Parts> = None;
+    let mut moved = Vec::new();
     if plan.runs(Stage::Clear) && !lighting.groups.is_empty() {
         let key = &baking.keys.clear;
         let store = baking.store.map(|store| (store, key));
@@ -358,11 +384,16 @@ fn parts(
             }
         }
         journal.group = None;
+        moved.extend(receivers.sides[0].moved());
     }
     for stage in Stage::ALL.into_iter().filter(|stage| (Stage::Rays..=Stage::Gather).contains(stage)) {
         journal.left_out_unless_run(plan, stage);
     }
     let parts = sum.unwrap_or_else(|| Parts::dark(atlas.texels.len(), plan.states_bound(settings)));
+    // Where a texel holds the light of two sides, or a part of it, surfels have nothing to compare it with.
+    if settings.double_sided == DoubleSided::Front && settings.only == Only::All {
+        transport.facts.gathered(energy::through_texels(tracer.geometry.scene, atlas, &parts, &moved));
+    }
     Ok((parts, transport.facts))
 }
 

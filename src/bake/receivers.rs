@@ -93,6 +93,11 @@ impl<'a> Side<'a> {
         &self.texels[self.some.as_ref().map_or(at, |some| some[at] as usize)]
     }
 
+    /// The texels whose receivers are not at their points, by rising index.
+    pub fn moved(&self) -> impl Iterator<Item = usize> {
+        self.moved.iter().map(|(at, _)| *at)
+    }
+
     pub fn receiver(&self, at: usize) -> Receiver {
         match self.moved.binary_search_by_key(&at, |(i, _)| *i) {
             Ok(found) => self.moved[found].1,

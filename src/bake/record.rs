@@ -9,6 +9,7 @@ use luxel_transport::Rgb;
 use luxel_transport::solve::SolveReport;
 use serde::{Deserialize, Serialize};
 
+use super::energy::{self, Flows};
 use super::journal::Counters;
 
 /// How the light at surfels came about.
@@ -27,6 +28,8 @@ pub struct Record {
     pub rows: Option<[f64; 2]>,
     /// In lumens.
     pub energy: EnergyLedger,
+    /// By which the stages after the propagation are booked.
+    pub flows: Flows,
 }
 
 impl Record {
@@ -49,6 +52,7 @@ impl Record {
                 defect: ledger.imbalance.to_array(),
                 ..EnergyLedger::default()
             },
+            flows: Flows::default(),
         }
     }
 
@@ -56,7 +60,7 @@ impl Record {
     pub fn scaled(self, factor: Rgb) -> Self {
         let factor = factor.as_dvec3().to_array();
         let scaled = |flux: [f64; 3]| [0, 1, 2].map(|band| flux[band] * factor[band]);
-        let EnergyLedger { emitted, from_sky, absorbed, escaped, remaining, defect, .. } = self.energy;
+        let EnergyLedger { state, emitted, from_sky, absorbed, escaped, remaining, defect, stages } = self.energy;
         let energy = EnergyLedger {
             emitted: scaled(emitted),
             from_sky: scaled(from_sky),
@@ -64,9 +68,10 @@ impl Record {
             escaped: scaled(escaped),
             remaining: scaled(remaining),
             defect: scaled(defect),
-            ..self.energy
+            state,
+            stages: energy::scaled(&stages, factor),
         };
-        Self { energy, ..self }
+        Self { energy, flows: self.flows.scaled(factor), ..self }
     }
 
     /// The record of two light groups: their sums, and the worse of what converged.
@@ -80,7 +85,8 @@ impl Record {
             escaped: sum(a.escaped, b.escaped),
             remaining: sum(a.remaining, b.remaining),
             defect: sum(a.defect, b.defect),
-            ..self.energy.clone()
+            state: a.state,
+            stages: energy::joined(&a.stages, &b.stages),
         };
         Self {
             path_length: self.path_length.max(other.path_length),
@@ -89,6 +95,7 @@ impl Record {
             tail: self.tail.max(other.tail),
             rows: self.rows.or(other.rows),
             energy,
+            flows: self.flows.joined(&other.flows),
             counters: self.counters,
         }
     }

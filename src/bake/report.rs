@@ -7,6 +7,7 @@ use luxel_export::report::{EnergyLedger, Input, LightGroup, Report, SceneInfo, S
 use luxel_scene::Scene;
 use serde_json::Value as Json;
 
+use super::energy;
 use super::groups::Group;
 use super::input::Inputs;
 use super::journal::Journal;
@@ -16,6 +17,7 @@ use super::{Baking, Lit};
 use crate::plan::{Plan, Stage};
 use crate::settings::{Resolved, Settings};
 use crate::store::Kind;
+use crate::verify::{Verified, gate};
 
 /// The part that is known before the bake.
 pub fn start(
@@ -108,6 +110,13 @@ pub fn fill(
         let state = journal.state(Stage::Propagate).unwrap_or_default();
         report.table1 = Some(Table1 { state, ..table1(plan, lit, &journal, record, seconds) });
         report.energy = Some(EnergyLedger { state, ..record.energy.clone() });
+        report.warnings.extend(energy::warning(&record.energy.stages));
+    }
+    if let Some(Verified { verification, checks }) = &lit.verified {
+        for check in checks.iter().filter(|check| !check.passed && check.name != "energy") {
+            warn(report, "check", gate::told(check));
+        }
+        (report.verification, report.checks) = (Some(verification.clone()), checks.clone());
     }
     report.stages = journal.close();
 }

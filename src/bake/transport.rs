@@ -6,6 +6,7 @@ use luxel_transport::{
     Rgb,
     direct::Visibility,
     directions,
+    energy::{shot, sky as sky_flux},
     gather::{Field, Gather, refresh},
     geometry::Geometry,
     lights::Emitters,
@@ -20,6 +21,7 @@ use luxel_transport::{
 use super::Baking;
 use super::artefact::{self, head, put_slice, put_value};
 use super::direct;
+use super::energy::{self, Books};
 use super::journal::{Counters, Journal, WRITTEN};
 use super::record::Record;
 use super::tracer::Tracer;
@@ -58,6 +60,15 @@ impl Facts {
             None => record,
             Some(sum) => sum.joined(record),
         });
+    }
+}
+
+impl Facts {
+    /// Books the flux through texels [lm] as the last stage of the ledger.
+    pub fn gathered(&mut self, through: [f64; 3]) {
+        if let Some(record) = &mut self.record {
+            energy::gathered(&mut record.energy.stages, &record.flows, through);
+        }
     }
 }
 
@@ -185,9 +196,15 @@ impl Transport {
         };
 
         let sky = &rays.geometry.scene.sky;
-        let weight = lighting.groups[number].sky;
+        let group = &lighting.groups[number];
+        let weight = group.sky;
+        // A draft is not judged by its books.
+        let has_lights = !self.is_coarse && plan.runs(Stage::Shoot) && !group.sources.is_empty();
+        let emitters = if has_lights { Some(group.emitters(self.emitters(rays.geometry))) } else { None };
         let radiance = |direction| weight.map_or(Rgb::ZERO, |weight| weight * sky.radiance(direction));
-        let closed = &mut self.closed;
+        let (closed, is_coarse) = (&mut self.closed, self.is_coarse);
+        let area = 1.0 / (rays.geometry.frame.scale * rays.geometry.frame.scale);
+        let mut books = None;
         let (mut solution, mut record) =
             journal.always(Stage::Propagate, plan.reason(Stage::Propagate), None, |progress, counters| {
                 let closed = *closed.get_or_insert_with(|| is_known_closed(rays, &surfels, settings));
@@ -198,6 +215,13 @@ impl Transport {
                 counters.insert("stiff_steps".into(), u64::from(report.stiff_steps));
                 counters.insert("discrete_rays".into(), report.discrete_rays);
                 counters.insert("closed".into(), u64::from(how.closed));
+                if !is_coarse {
+                    let shot = emitters.as_ref().map(|emitters| shot(rays, emitters, &surfels, &direct, progress));
+                    let sky = weight.map(|_| sky_flux(rays, &surfels, &radiance, progress));
+                    let sweeps = report.ledger.scaled(area).stages;
+                    let own = books.insert(Books::open(shot.transpose()?));
+                    own.propagate(&sweeps, report.bounces.len(), report.stiff_steps > 0, sky.transpose()?);
+                }
                 Ok((solution, Record::new(&report, rays.geometry.frame.scale)))
             })?;
         counted.push((Stage::Propagate, journal.last(Stage::Propagate)));
@@ -207,8 +231,15 @@ impl Transport {
             Ok(refresh(&field, settings.refresh.0, &radiance, progress)?)
         })?;
         if let Some(refreshed) = refreshed {
+            if let Some(books) = &mut books {
+                books.refresh(&surfels, &solution, &refreshed, area);
+            }
             solution = refreshed;
             counted.push((Stage::Refresh, journal.last(Stage::Refresh)));
+        }
+        if let Some(mut books) = books {
+            books.receive(rays.geometry, &surfels, &solution, area);
+            (record.energy.stages, record.flows) = (books.stages, books.flows);
         }
         record.counters = counted.into_iter().map(|(stage, counters)| (stage.name().to_owned(), counters)).collect();
         Ok((surfels, solution, record))

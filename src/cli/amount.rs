@@ -1,4 +1,4 @@
-//! Sizes and times on the command line.
+//! Sizes, times and shares on the command line.
 
 use std::time::Duration;
 
@@ -31,14 +31,16 @@ pub fn time(text: &str) -> Result<Duration, String> {
     seconds.map(Duration::from_secs)
 }
 
-/// `2%`, `0.02`: a share that is above 0 and below 1.
+/// `2%`, `0.02`: a share above 0. A number from 1 on without its sign may mean either.
 pub fn share(text: &str) -> Result<f64, String> {
     let text = text.trim();
-    let number = match text.strip_suffix('%') {
-        Some(percent) => percent.trim_end().parse::<f64>().map(|x| x / 100.0),
-        None => text.parse::<f64>(),
+    let (number, unit) = match text.strip_suffix('%') {
+        Some(number) => (number.trim_end(), 0.01),
+        None => (text, 1.0),
     };
-    number.ok().filter(|x| *x > 0.0 && *x < 1.0).ok_or_else(|| "expected a share such as 2% or 0.02".into())
+    let value = number.parse::<f64>().ok().map(|x| x * unit);
+    let fits = |x: &f64| x.is_finite() && *x > 0.0 && (unit < 1.0 || *x < 1.0);
+    value.filter(fits).ok_or_else(|| "expected a share such as 2%, 0.5% or 0.02".into())
 }
 
 /// A number with one of these units.
@@ -76,6 +78,16 @@ pub fn ago(time: Duration) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn shares_are_told_with_their_sign() {
+        for (text, value) in [("2%", 0.02), ("0.5 %", 0.005), ("0.02", 0.02), ("150%", 1.5)] {
+            assert!((share(text).unwrap() - value).abs() < 1e-12, "{text}");
+        }
+        for wrong in ["2", "0", "0%", "-1%", "nan", "inf%", "%", "", "much"] {
+            assert!(share(wrong).is_err(), "{wrong}");
+        }
+    }
 
     #[test]
     fn sizes_and_times_are_read_with_their_units() {

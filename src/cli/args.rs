@@ -8,6 +8,7 @@ use clap::{Arg, ArgMatches, Args, Command, FromArgMatches, Parser, Subcommand, e
 use luxel::bake::mix::Mix;
 use luxel::settings::{FIELDS, Layer, Origin, Settings};
 use luxel::store::StoreOptions;
+use luxel::verify::Verify;
 
 use super::amount;
 
@@ -21,22 +22,29 @@ Examples:
   luxel bake level.glb --sky noon.hdr           with an image as the sky
   luxel bake levels/ --out lit/                 every scene below a folder, several at a time
   luxel bake levels/ --check                    bakes nothing; exit code 3 when a lightmap is not current
+  luxel bake level.glb --verify 500             with its error against the reference at 500 texels
+  luxel bake levels/ --max-error 2%             a gate: exit code 1 where a lightmap is not certainly that good
   luxel plan level.glb                          what would run, and why
   luxel watch levels/                           bakes, and again whatever is saved
   luxel watch level.glb --preview               the same, shown in the browser
 
 A scene is left alone when its report says that it was baked from the same bytes, with the same settings, by the same
-luxel, and when all its outputs are as they were written; --force bakes it all the same.
+luxel, and when all its outputs are as they were written; --force bakes it all the same. With --verify its report also
+has to tell of a verification of so many texels: then --max-error is judged by that, with --check too.
+
+A verified lightmap is compared as it is written, at texels drawn by their area. Checks: no texel belongs to two charts;
+no more than a quarter of the texels lies inside geometry; no texel that a closed wall separates from all light is lit;
+the energy ledger balances within 1 % after every stage; no value is negative or no number.
 
 Events of --json, one object per line, with their fields:
-  unchanged    scene, outputs                     left alone: its outputs are current
+  unchanged    scene, outputs                     left alone: its outputs are current; with --verify as baked
   stale        scene, reasons                     they are not; each reason has a code and a message
   started      scene, stage, total                a stage begins
   progress     scene, stage, done, total
   finished     scene, stage, seconds
   plan         scene, plan, unchanged, stale      of luxel plan; stale holds the reasons
-  baked        scene, seconds, outputs, quality, warnings
-  failed       scene, error, causes               its last good outputs stay
+  baked        scene, seconds, outputs, quality, warnings   with --verify also verification, checks, as in the report
+  failed       scene, error, causes               its last good outputs stay; with --max-error as baked
   done         scenes, failed, unchanged, stale   the last event: a number, and lists of scenes
   interrupted  scene, scenes, failed              the last event after Ctrl-C; scenes were being baked, scene is the first
   usage        error, causes                      the last event of a command line that could not be followed
@@ -243,9 +251,29 @@ pub struct Baking {
     /// Bake scenes too whose outputs are current
     #[arg(long)]
     pub force: bool,
+    /// Use the least settings with which the RMSE is below this share of the mean irradiance (2%): they are tried once at
+    /// some hundred texels, and kept in the store
+    #[arg(long, value_name = "SHARE", value_parser = amount::share)]
+    pub target_error: Option<f64>,
+    /// Compare the lightmap with the reference path tracer at so many random texels: error with its 95 % confidence
+    /// interval, and checks, in the report
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(16..=1_000_000))]
+    pub verify: Option<u32>,
+    /// Fail a scene, and leave its last lightmap in place, unless its RMSE is certainly no more than this share of the
+    /// mean irradiance (2%, 0.02) and all checks pass; compares 400 texels where --verify says nothing
+    #[arg(long, value_name = "SHARE", value_parser = amount::share)]
+    pub max_error: Option<f64>,
     /// Scenes at a time, at most; fewer where memory is short [default: one for every thread]
     #[arg(long, value_name = "N")]
     pub jobs: Option<NonZeroUsize>,
+}
+
+impl Baking {
+    /// What is wanted of a verification, if one is.
+    pub fn ask(&self) -> Option<Verify> {
+        let wanted = self.verify.is_some() || self.max_error.is_some();
+        wanted.then(|| Verify { texels: self.verify.unwrap_or(luxel::verify::TEXELS), max_error: self.max_error })
+    }
 }
 
 #[derive(Debug, Args)]

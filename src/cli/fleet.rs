@@ -7,13 +7,18 @@ use std::sync::atomic::Ordering;
 use std::sync::{Mutex, PoisonError};
 
 use luxel::bake::{Turns, bake_in_turn};
-use luxel::current::{self, State};
+use luxel::current::{self, Reason, State};
 use luxel::discover::Found;
 use luxel::settings::{Resolved, for_scene};
+use luxel::study::budget;
 use luxel::text::shown;
+use luxel::verify::{
+    Verified,
+    gate::{self, Answer},
+};
 use luxel::watch::Finished;
-use luxel::{Error, Request};
-use luxel_export::OutputSet;
+use luxel::{Error, Request, bake_verified};
+use luxel_export::{OutputSet, Report};
 
 use super::args::{Bake, Baking};
 use super::progress::{Reporter, Screen, Style};
@@ -27,7 +32,13 @@ pub fn bake(args: &Baking) -> anyhow::Result<u8> {
     for (path, error) in &task.missing {
         print::failed(task.style, path, error);
     }
-    let fleet = Fleet { task: &task, args, screen: Screen::new(task.style), worker: std::env::current_exe().ok() };
+    let fleet = Fleet {
+        task: &task,
+        args,
+        screen: Screen::new(task.style),
+        worker: std::env::current_exe().ok(),
+        trials: Mutex::default(),
+    };
     let mut fates = vec![Fate::Waiting; task.found.len()];
     let mut stale = Vec::new();
     let seen = fleet.many(processors(), places.into_iter().enumerate().collect(), |(i, place)| fleet.look(i, place));
@@ -65,6 +76,8 @@ struct Fleet<'t> {
     args: &'t Baking,
     screen: Screen,
     worker: Option<PathBuf>,
+    /// Held by the scene whose settings are being found.
+    trials: Mutex<()>,
 }
 
 impl Fleet<'_> {
@@ -90,16 +103,51 @@ impl Fleet<'_> {
 
     fn state(&self, scene: &Path, outputs: OutputSet, reporter: &Reporter) -> Result<Seen, Error> {
         let settings = for_scene(scene, self.task.config.as_ref(), &self.args.bake.common.settings.0)?;
+        let settings = match self.args.target_error {
+            Some(target) => self.settings_for(scene, settings, target, outputs.folder(), reporter)?,
+            None => settings,
+        };
         if !self.args.force {
             match current::check(scene, &outputs, &settings, reporter)? {
-                State::Current(now) => {
-                    print::unchanged(reporter, scene, &now.files);
-                    return Ok(Seen::Over(End::Unchanged));
-                }
+                State::Current(now) => match self.answer(&now.report) {
+                    Answer::Passed => {
+                        print::unchanged(reporter, scene, &now.files, self.verified(&now.report));
+                        return Ok(Seen::Over(End::Unchanged));
+                    }
+                    Answer::Refused(refusal) => return Err(Error::NotGoodEnough(refusal)),
+                    Answer::Insufficient { texels } => {
+                        print::stale(reporter, scene, &[Reason::Unverified { texels }]);
+                    }
+                },
                 State::Stale(reasons) => print::stale(reporter, scene, &reasons),
             }
         }
         Ok(if self.args.check { Seen::Over(End::Stale) } else { Seen::Stale(outputs, Box::new(settings)) })
+    }
+
+    /// The settings that keep an error. Trials take all threads and the memory of a small bake, so scenes take turns.
+    fn settings_for(
+        &self,
+        scene: &Path,
+        settings: Resolved,
+        target: f64,
+        outputs: &Path,
+        reporter: &Reporter,
+    ) -> Result<Resolved, Error> {
+        let _turn = self.trials.lock().unwrap_or_else(PoisonError::into_inner);
+        let store = self.args.bake.storing.options().open(outputs);
+        budget::settings_for(scene, settings, target, &store, reporter)
+    }
+
+    /// What current outputs say to what is asked of their error.
+    fn answer(&self, report: &Report) -> Answer {
+        self.args.ask().map_or(Answer::Passed, |ask| gate::answer(report, &ask))
+    }
+
+    /// What is told of the error in a report.
+    fn verified(&self, report: &Report) -> Option<Verified> {
+        let verification = report.verification.clone().filter(|_| self.args.ask().is_some())?;
+        Some(Verified { verification, checks: report.checks.clone() })
     }
 
     /// Bakes a scene when its turn comes.
@@ -115,12 +163,16 @@ impl Fleet<'_> {
             store,
             kept: Default::default(),
         };
-        let baked = bake_in_turn(&request, &turn, &reporter);
+        let baked = match self.args.ask() {
+            Some(ask) => bake_verified(&request, &ask, &turn, &reporter),
+            None => bake_in_turn(&request, &turn, &reporter),
+        };
         drop(turn);
         reporter.finish();
         let fate = match baked {
             Ok(baked) => {
-                print::baked_on(&reporter, &found.scene, Finished::from(baked).done);
+                let verified = self.verified(&baked.report);
+                print::baked_on(&reporter, &found.scene, Finished::from(baked).done, verified);
                 Fate::Over(End::Done)
             }
             Err(error) => self.failed(&found.scene, error, &reporter),
@@ -134,7 +186,11 @@ impl Fleet<'_> {
         if matches!(error, Error::Cancelled) {
             return Fate::Interrupted;
         }
-        print::failed_on(reporter, scene, &anyhow::Error::new(error));
+        let verified = match &error {
+            Error::NotGoodEnough(refusal) => Some(refusal.verified.clone()),
+            _ => None,
+        };
+        print::failed_on(reporter, scene, &anyhow::Error::new(error), verified);
         Fate::Failed
     }
 
@@ -207,7 +263,16 @@ mod tests {
         let cancelled = Arc::new(AtomicBool::new(false));
         let (found, missing) = (Vec::new(), Vec::new());
         let task = Job { found, missing, config: None, style: Style::Quiet, cancelled: cancelled.clone() };
-        test(&Fleet { task: &task, args: &args, screen: Screen::new(Style::Quiet), worker: None }, &cancelled);
+        test(
+            &Fleet {
+                task: &task,
+                args: &args,
+                screen: Screen::new(Style::Quiet),
+                worker: None,
+                trials: Mutex::default(),
+            },
+            &cancelled,
+        );
     }
 
     #[test]

@@ -5,9 +5,10 @@ use std::path::{Path, PathBuf};
 use luxel::current::{Reason, State};
 use luxel::plan::Plan;
 use luxel::text::{indented, plain, shown};
+use luxel::verify::{Verified, gate};
 use luxel::watch::event::{Done, Event};
 use luxel_export::report::Warning;
-use serde_json::json;
+use serde_json::{Value, json};
 
 use crate::cli::progress::{Reporter, Style, duration, event, out, say};
 
@@ -21,20 +22,21 @@ pub fn written(path: &Path) -> String {
 
 /// A finished scene: its files, and what a person should know.
 pub fn baked(style: Style, scene: &Path, done: Done) {
-    baked_by(style, &say, scene, done);
+    baked_by(style, &say, scene, done, None);
 }
 
 /// [`baked`] of one scene among others.
-pub fn baked_on(reporter: &Reporter, scene: &Path, done: Done) {
-    baked_by(reporter.style(), &|line| reporter.say(line), scene, done);
+pub fn baked_on(reporter: &Reporter, scene: &Path, done: Done, verified: Option<Verified>) {
+    baked_by(reporter.style(), &|line| reporter.say(line), scene, done, verified);
 }
 
-fn baked_by(style: Style, say: Say, scene: &Path, done: Done) {
+fn baked_by(style: Style, say: Say, scene: &Path, done: Done, verified: Option<Verified>) {
     match style {
         Style::Quiet => {}
-        Style::Json => event(&Event::Baked { scene: scene.into(), done }.to_json()),
+        Style::Json => event(&with_verified(Event::Baked { scene: scene.into(), done }.to_json(), verified)),
         Style::Lines | Style::Bar => {
             notes(say, &done.warnings);
+            verification(say, verified);
             for file in &done.outputs {
                 say(&format!("  wrote {}", shown(file)));
             }
@@ -43,15 +45,38 @@ fn baked_by(style: Style, say: Say, scene: &Path, done: Done) {
     }
 }
 
+/// An event with what was verified.
+fn with_verified(mut event: Value, verified: Option<Verified>) -> Value {
+    if let Some(Verified { verification, checks }) = verified {
+        event["verification"] = json!(verification);
+        event["checks"] = json!(checks);
+    }
+    event
+}
+
+/// The error of a lightmap, and how many checks passed; those that failed are among the warnings.
+fn verification(say: Say, verified: Option<Verified>) {
+    if let Some(Verified { verification, checks }) = verified {
+        say(&format!("  {}", gate::line(&verification)));
+        let passed = checks.iter().filter(|check| check.passed).count();
+        let names: Vec<_> = checks.iter().map(|check| plain(&check.name)).collect();
+        say(&format!("  checks: {passed} of {} passed ({})", checks.len(), names.join(", ")));
+    }
+}
+
 /// A scene that is left alone.
-pub fn unchanged(reporter: &Reporter, scene: &Path, outputs: &[PathBuf]) {
+pub fn unchanged(reporter: &Reporter, scene: &Path, outputs: &[PathBuf], verified: Option<Verified>) {
     match reporter.style() {
         Style::Quiet => {}
         Style::Json => {
             let outputs: Vec<String> = outputs.iter().map(|path| written(path)).collect();
-            event(&json!({ "event": "unchanged", "scene": written(scene), "outputs": outputs }));
+            let told = json!({ "event": "unchanged", "scene": written(scene), "outputs": outputs });
+            event(&with_verified(told, verified));
         }
-        Style::Lines | Style::Bar => reporter.say("  unchanged"),
+        Style::Lines | Style::Bar => {
+            reporter.say("  unchanged");
+            verification(&|line| reporter.say(line), verified);
+        }
     }
 }
 
@@ -123,19 +148,20 @@ pub fn plan(style: Style, scene: &Path, plan: &Plan, state: &State) {
 
 /// A scene that failed.
 pub fn failed(style: Style, scene: &Path, error: &anyhow::Error) {
-    failed_by(style, &say, scene, error);
+    failed_by(style, &say, scene, error, None);
 }
 
 /// [`failed`] of one scene among others.
-pub fn failed_on(reporter: &Reporter, scene: &Path, error: &anyhow::Error) {
-    failed_by(reporter.style(), &|line| reporter.say(line), scene, error);
+pub fn failed_on(reporter: &Reporter, scene: &Path, error: &anyhow::Error, verified: Option<Verified>) {
+    failed_by(reporter.style(), &|line| reporter.say(line), scene, error, verified);
 }
 
-fn failed_by(style: Style, say: Say, scene: &Path, error: &anyhow::Error) {
+fn failed_by(style: Style, say: Say, scene: &Path, error: &anyhow::Error, verified: Option<Verified>) {
     if style != Style::Json {
         return failure_by(say, Some(scene), error);
     }
-    event(&json!({ "event": "failed", "scene": written(scene), "error": error.to_string(), "causes": causes(error) }));
+    let (scene, text, causes) = (written(scene), error.to_string(), causes(error));
+    event(&with_verified(json!({ "event": "failed", "scene": scene, "error": text, "causes": causes }), verified));
 }
 
 /// What an error says of its causes, from the nearest on.

@@ -164,7 +164,7 @@ fn settle(found: &Found, base: &Settings, goal: Goal, store: &Store, reporter: &
     };
     reporter.finish();
     let flags = choice.flags(base);
-    let [rmse, most] = [choice.score.corrected, choice.score.most()];
+    let [rmse, most] = [choice.score.rmse, choice.score.rmse_high];
     if reporter.style() == Style::Json {
         event(&json!({
             "event": "target", "scene": print::written(&found.scene), "rung": choice.rung, "flags": flags,

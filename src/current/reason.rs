@@ -50,6 +50,10 @@ pub enum Reason {
     },
     /// The outputs are those of an export that weighed the light groups anew.
     Mixed,
+    /// The report holds no verification, or one of so many texels, and one of more is asked for.
+    Unverified {
+        texels: u64,
+    },
     /// An image of another bake under this scene's name.
     LeftOver {
         path: PathBuf,
@@ -71,6 +75,7 @@ impl Reason {
             Self::OutputMissing { .. } => "output-missing",
             Self::OutputChanged { .. } => "output-changed",
             Self::Mixed => "mixed",
+            Self::Unverified { .. } => "not-verified",
             Self::LeftOver { .. } => "output-left-over",
         }
     }
@@ -102,6 +107,8 @@ impl fmt::Display for Reason {
             Self::OutputMissing { path } => write!(f, "the output {} is not there", shown(path)),
             Self::OutputChanged { path } => write!(f, "the output {} is not as it was written", shown(path)),
             Self::Mixed => write!(f, "its light groups were weighed anew by luxel export"),
+            Self::Unverified { texels: 0 } => f.write_str("its error was not measured"),
+            Self::Unverified { texels } => write!(f, "its error was measured at {texels} texels, too few to judge it"),
             Self::LeftOver { path } => write!(f, "{} was left over by another bake", shown(path)),
         }
     }

@@ -57,8 +57,7 @@ pub fn verdict(list: &[Advice]) -> String {
 
 fn of(base: &Settings, series: &Series, points: &[Point]) -> Option<Advice> {
     let value = (Field::find(&series.name)?.get)(base);
-    let own: Vec<(f64, f64)> =
-        points.iter().filter(|p| p.series == series.name).map(|p| (p.x, p.score.corrected)).collect();
+    let own: Vec<(f64, f64)> = points.iter().filter(|p| p.series == series.name).map(|p| (p.x, p.score.rmse)).collect();
     let fit = Fit::of(&own);
     let x = abscissa(&series.name, &value);
     let at = |x: f64| fit.map_or(0.0, |fit| fit.error(x));
@@ -86,7 +85,7 @@ mod tests {
         let point = |x: f64| Point {
             series: name.into(),
             x,
-            score: Score { corrected: law.error(x), ..Score::default() },
+            score: Score { rmse: law.error(x), ..Score::default() },
             ..Point::default()
         };
         series.attempts.iter().map(|a| point(a.x)).collect()

@@ -72,7 +72,7 @@ pub fn for_error(
     progress: &dyn Progress,
 ) -> Result<Choice, Error> {
     climb(scene, base, (&format!("error {target}"), store), progress, |point, _| {
-        if point.score.most() <= target { Verdict::Enough } else { Verdict::Higher { will_do: false } }
+        if point.score.rmse_high <= target { Verdict::Enough } else { Verdict::Higher { will_do: false } }
     })
 }
 
@@ -117,7 +117,7 @@ pub fn settings_for(
 
 /// What is said of an error that no rung reaches.
 pub fn unreached(target: f64, choice: &Choice) -> Error {
-    let [target, rmse, most] = [target, choice.score.corrected, choice.score.most()].map(|e| 100.0 * e);
+    let [target, rmse, most] = [target, choice.score.rmse, choice.score.rmse_high].map(|e| 100.0 * e);
     Error::Target {
         what: format!(
             "an error of {target:.2} % cannot be promised; the finest settings come to {rmse:.2} % (below {most:.2} % \

@@ -31,14 +31,14 @@ const COLOURS: [RGBColor; 8] = [
 /// Error against processor time of every method and of all rungs together, with the Pareto front of all points: those
 /// that no other beats in both.
 pub fn front(title: &str, points: &[Point], noise: f64) -> Result<String, String> {
-    let shown = |p: &&Point| p.score.corrected > 0.0 && p.cpu_seconds > 0.0;
+    let shown = |p: &&Point| p.score.rmse > 0.0 && p.cpu_seconds > 0.0;
     let mut by: BTreeMap<&str, Vec<(f64, f64)>> = BTreeMap::new();
     for p in points.iter().filter(shown).filter(|p| p.method != OWN || p.series == "together") {
-        by.entry(&p.method).or_default().push((p.cpu_seconds, p.score.corrected));
+        by.entry(&p.method).or_default().push((p.cpu_seconds, p.score.rmse));
     }
     let lines: Vec<Line> =
         by.into_iter().map(|(name, points)| Line { name: name.into(), points: sorted(points) }).collect();
-    let all: Vec<(f64, f64)> = points.iter().filter(shown).map(|p| (p.cpu_seconds, p.score.corrected)).collect();
+    let all: Vec<(f64, f64)> = points.iter().filter(shown).map(|p| (p.cpu_seconds, p.score.rmse)).collect();
     draw(title, "processor time of the light [s]", &lines, &pareto(all), noise)
 }
 
@@ -46,7 +46,7 @@ pub fn front(title: &str, points: &[Point], noise: f64) -> Result<String, String
 pub fn sweeps(title: &str, points: &[Point], noise: f64) -> Result<String, String> {
     let mut by: BTreeMap<&str, Vec<(f64, f64)>> = BTreeMap::new();
     for p in points.iter().filter(|p| p.method == OWN && p.series != "together" && p.x > 0.0) {
-        by.entry(&p.series).or_default().push((p.x, p.score.corrected));
+        by.entry(&p.series).or_default().push((p.x, p.score.rmse));
     }
     let relative = |points: Vec<(f64, f64)>| {
         let finest = points.iter().map(|p| p.0).fold(0.0, f64::max);
@@ -178,7 +178,7 @@ mod tests {
             series: "path tracing".into(),
             x,
             cpu_seconds: x,
-            score: Score { corrected: e, ..Score::default() },
+            score: Score { rmse: e, ..Score::default() },
             ..Point::default()
         };
         let svg = front("Cornell", &[point(1.0, 0.1), point(4.0, 0.05)], 0.01).unwrap();

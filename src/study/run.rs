@@ -138,7 +138,7 @@ pub fn study(
 /// The law of a series.
 fn law(series: &Series, points: &[Point]) -> Option<Fit> {
     let own = points.iter().filter(|p| p.series == series.name);
-    Fit::of(&own.map(|p| (p.x, p.score.corrected)).collect::<Vec<_>>())
+    Fit::of(&own.map(|p| (p.x, p.score.rmse)).collect::<Vec<_>>())
 }
 
 /// The paper's columns, the same settings here, and the settings as they are.
@@ -211,7 +211,7 @@ impl Book<'_> {
 /// A point in one line.
 pub fn line(point: &Point) -> String {
     let Point { series, value, method, cpu_seconds, score, .. } = point;
-    let rmse = percent(score.corrected);
+    let rmse = percent(score.rmse);
     format!(
         "{series} {value} ({method}): RMSE {rmse}, bias {:+.2} %, {cpu_seconds:.1} s of processor",
         100.0 * score.bias
@@ -245,7 +245,7 @@ pub fn points_table(points: &[Point]) -> String {
             p.method.clone(),
             p.value.clone(),
             format!("{:.2}", p.cpu_seconds),
-            format!("{} ± {:.2}", percent(s.corrected), 100.0 * s.rmse_error),
+            format!("{:.2} ({:.2}–{:.2}) %", 100.0 * s.rmse, 100.0 * s.rmse_low, 100.0 * s.rmse_high),
             format!("{:+.2} %", 100.0 * s.bias),
             format!("{:.1} %", 100.0 * s.p95),
             percent(s.direct_rmse),
@@ -292,7 +292,7 @@ fn markdown(findings: &Findings, notes: &[String]) -> String {
     }
     text += &format!(
         "\nReference: path tracing, {texels} texels, {paths} paths each, mean irradiance {mean:.4e} lux, noise {}. RMSE \
-         with that noise taken off, ± its standard error; shares of the mean irradiance.\n\n{}\n## What limits the \
+         with that noise taken off and its 95 % confidence interval; shares of the mean irradiance.\n\n{}\n## What limits the \
          error\n\n{}\n",
         percent(noise),
         points_table(&findings.points),

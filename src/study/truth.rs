@@ -43,7 +43,9 @@ pub struct Known {
     /// [lux]
     pub direct: Rgb,
     pub indirect: Rgb,
-    /// Variances of the estimates, mean over the bands [lux²]: of their sum, and of each.
+    /// Standard error of every band of both together [lux].
+    pub band_error: Rgb,
+    /// Variances of the band means [lux²]: of both together, and of each.
     pub variance: f64,
     pub direct_variance: f64,
     pub indirect_variance: f64,
@@ -88,8 +90,8 @@ struct Sums {
     rounds: u32,
     direct: Vec<[f64; 3]>,
     indirect: Vec<[f64; 3]>,
-    /// Of both together, of direct, of indirect.
-    variance: Vec<[f64; 3]>,
+    /// Of each band of both together, and of the band means of both, of direct, of indirect.
+    variance: Vec<[f64; 6]>,
 }
 
 /// Texels that count, evenly by area.
@@ -138,7 +140,7 @@ pub fn truth(
         rounds: 0,
         direct: nothing.clone(),
         indirect: nothing.clone(),
-        variance: nothing,
+        variance: vec![[0.0; 6]; texels.len()],
     });
     let reference = Reference::new(lab.rays, Options::default());
     let most = how.paths.div_ceil(ROUND).max(1);
@@ -165,10 +167,10 @@ impl Sums {
                 self.direct[i][band] += f64::from(e.direct[band]);
                 self.indirect[i][band] += f64::from(e.indirect[band]);
             }
-            let bands = e.band_error.as_dvec3().length_squared() / 3.0;
-            let parts = [e.direct_error, e.indirect_error].map(|x| f64::from(x) * f64::from(x));
-            for (sum, variance) in self.variance[i].iter_mut().zip([bands, parts[0], parts[1]]) {
-                *sum += variance;
+            let [r, g, b] = e.band_error.to_array();
+            let errors = [r, g, b, e.standard_error, e.direct_error, e.indirect_error];
+            for (sum, error) in self.variance[i].iter_mut().zip(errors) {
+                *sum += f64::from(error) * f64::from(error);
             }
         }
         self.rounds += 1;
@@ -179,9 +181,10 @@ impl Sums {
         let n = f64::from(self.rounds.max(1));
         let mean = |sums: &[f64; 3]| Rgb::from_array(sums.map(|sum| (sum / n) as f32));
         let point = |i: usize| {
-            let [variance, direct_variance, indirect_variance] = self.variance[i].map(|sum| sum / (n * n));
+            let [r, g, b, variance, direct_variance, indirect_variance] = self.variance[i].map(|sum| sum / (n * n));
+            let band_error = Rgb::from_array([r, g, b].map(|variance| variance.sqrt() as f32));
             let (direct, indirect) = (mean(&self.direct[i]), mean(&self.indirect[i]));
-            Known { direct, indirect, variance, direct_variance, indirect_variance }
+            Known { direct, indirect, band_error, variance, direct_variance, indirect_variance }
         };
         let points = (0..texels.len()).map(point).collect();
         Truth { texels: texels.to_vec(), points, paths: self.rounds * ROUND, key }

@@ -8,6 +8,7 @@ use std::path::PathBuf;
 
 use glam::{DAffine3, DVec3, Vec2, Vec3};
 use luxel::settings::{Preset, Settings, value::Texels};
+pub use luxel::verify::{Score, score};
 use luxel::{Lit, bake_scene};
 use luxel_scene::{Scene, Silent};
 use luxel_transport::{
@@ -102,57 +103,6 @@ pub fn reference(scene: &Scene, lit: &Lit, texels: &[usize], paths: u32) -> Vec<
     let rays = Rays::new(&geometry);
     let receivers: Vec<Receiver> = texels.iter().map(|&i| receiver(&geometry, lit, i)).collect();
     Reference::new(&rays, Options::default()).irradiances(&receivers, paths, &Silent).expect("not cancelled")
-}
-
-/// The error of some values against others.
-#[derive(Clone, Copy, Debug)]
-pub struct Score {
-    pub samples: usize,
-    /// Area-weighted mean of the reference, band mean [lux].
-    pub mean: f64,
-    /// Over all three bands, over the mean. Includes the reference's own noise.
-    pub rmse: f64,
-    pub bias: f64,
-    /// Percentiles of |ΔY| / max(Y, 1 % of the mean Y).
-    pub median: f64,
-    pub p95: f64,
-    /// Root mean square of the reference's standard error over the mean.
-    pub noise: f64,
-}
-
-impl std::fmt::Display for Score {
-    fn fmt(&self, f: &mut std::fmt::Formatter) -> std::fmt::Result {
-        let [rmse, bias, median, p95, noise] =
-            [self.rmse, self.bias, self.median, self.p95, self.noise].map(|share| 100.0 * share);
-        write!(
-            f,
-            "mean E {:.4}, RMSE {rmse:.2} %, bias {bias:+.2} %, median {median:.2} %, p95 {p95:.1} %, \
-             reference noise {noise:.2} %",
-            self.mean
-        )
-    }
-}
-
-/// Compares values with a reference; `noise` are the reference's standard errors, `weights` areas.
-pub fn score(values: &[Vec3], truth: &[Vec3], noise: &[f32], weights: &[f64]) -> Score {
-    let total: f64 = weights.iter().sum();
-    let over = |f: &dyn Fn(usize) -> f64| weights.iter().enumerate().map(|(i, w)| w * f(i)).sum::<f64>() / total;
-    let y = |v: Vec3| f64::from(v.element_sum()) / 3.0;
-    let mean = over(&|i| y(truth[i]));
-    let square = over(&|i| (values[i] - truth[i]).as_dvec3().length_squared() / 3.0);
-    let mut relative: Vec<f64> =
-        (0..values.len()).map(|i| (y(values[i]) - y(truth[i])).abs() / y(truth[i]).max(0.01 * mean)).collect();
-    relative.sort_by(f64::total_cmp);
-    let percentile = |q: f64| relative[((relative.len() - 1) as f64 * q) as usize];
-    Score {
-        samples: values.len(),
-        mean,
-        rmse: square.sqrt() / mean,
-        bias: over(&|i| y(values[i]) - y(truth[i])) / mean,
-        median: percentile(0.5),
-        p95: percentile(0.95),
-        noise: over(&|i| f64::from(noise[i]).powi(2)).sqrt() / mean,
-    }
 }
 
 /// The score of a bake at some of its texels. Texels whose point lies inside other geometry do not count (the bake gave

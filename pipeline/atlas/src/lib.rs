@@ -6,6 +6,7 @@
 //! | unwrap | [`unwrap`] with `segment`, `planar`, `shape`; [`worker`], `xatlas` | mesh → [`charts::Charts`] in object units, shared by instances |
 //! | pack | `blocks`, `place` with `shelves`, `pack` | charts of all instances → rectangles on pages |
 //! | rasterise | `texels` | placed charts → [`Texel`]s with coverage |
+//! | audit | `audit` | atlas → what of it lies on each other |
 //! | finish | [`mod@finish`] with `canvas`, `seams` | values per texel → dilated, stitched images |
 //!
 //! [`build`] goes from the scene to the atlas; [`Layout::complete`] and [`Packing`] are its parts, for callers that
@@ -15,6 +16,7 @@
 
 mod assemble;
 pub mod atlas;
+mod audit;
 pub mod authored;
 mod blocks;
 mod canvas;
@@ -38,6 +40,7 @@ mod xatlas;
 
 pub use assemble::{Packing, assemble, build};
 pub use atlas::{Atlas, Chart, Page, Placed, Texel};
+pub use audit::{Overlapping, overlapping};
 pub use charts::Charts;
 pub use finish::{FinishError, FinishReport, FinishSettings, Image, finish};
 pub use layout::{Layout, Source, Unwraps};

@@ -30,10 +30,39 @@ pub(crate) fn signed_area(t: &[DVec2; 3]) -> f64 {
 /// The worst pair met by the time that the sum of overlaps went beyond the tolerance.
 pub(crate) fn check(triangles: &[[DVec2; 3]]) -> Result<(), Overlap> {
     let total: f64 = triangles.iter().map(|t| signed_area(t).abs()).sum();
+    let (mut sum, mut worst) = (0.0, (0.0, Overlap::Entangled));
+    each_pair(
+        triangles,
+        || Ok(()),
+        |a, b, area| {
+            let smaller = signed_area(&triangles[a]).abs().min(signed_area(&triangles[b]).abs());
+            let found = Overlap::Pair(a, b, area / smaller);
+            sum += area;
+            if area > worst.0 {
+                worst = (area, found);
+            }
+            if area > PAIR_TOLERANCE * smaller && area > NEGLIGIBLE * total {
+                return Err(found);
+            }
+            if sum > TOLERANCE * total { Err(worst.1) } else { Ok(()) }
+        },
+    )
+}
+
+/// Visits every pair of triangles that share area, with the area, each once; looks up at every cell of the grid that
+/// finds them.
+///
+/// # Errors
+/// What the two callers say; [`Overlap::Entangled`] where there are too many pairs.
+pub(crate) fn each_pair<E: From<Overlap>>(
+    triangles: &[[DVec2; 3]],
+    mut look_up: impl FnMut() -> Result<(), E>,
+    mut visit: impl FnMut(usize, usize, f64) -> Result<(), E>,
+) -> Result<(), E> {
     let grid = Grid::new(triangles).ok_or(Overlap::Entangled)?;
     let mut steps = STEPS + STEPS_PER_TRIANGLE * triangles.len();
-    let (mut sum, mut worst) = (0.0, (0.0, Overlap::Entangled));
     for (cell, entries) in grid.entries.chunk_by(|a, b| a.0 == b.0).map(|run| (run[0].0, run)) {
+        look_up()?;
         for (i, &(_, a)) in entries.iter().enumerate() {
             for &(_, b) in &entries[i + 1..] {
                 steps = steps.checked_sub(1).ok_or(Overlap::Entangled)?;
@@ -44,20 +73,8 @@ pub(crate) fn check(triangles: &[[DVec2; 3]]) -> Result<(), Overlap> {
                     continue;
                 }
                 let area = intersection(s, t);
-                if area <= 0.0 {
-                    continue;
-                }
-                let smaller = signed_area(s).abs().min(signed_area(t).abs());
-                let found = Overlap::Pair(a as usize, b as usize, area / smaller);
-                sum += area;
-                if area > worst.0 {
-                    worst = (area, found);
-                }
-                if area > PAIR_TOLERANCE * smaller && area > NEGLIGIBLE * total {
-                    return Err(found);
-                }
-                if sum > TOLERANCE * total {
-                    return Err(worst.1);
+                if area > 0.0 {
+                    visit(a as usize, b as usize, area)?;
                 }
             }
         }

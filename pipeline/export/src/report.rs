@@ -63,6 +63,12 @@ pub struct Report {
     pub warnings: Vec<Warning>,
     /// The files that belong to this report, in the order in which they were written.
     pub outputs: Vec<Output>,
+    /// How far the lightmap is from the reference at some of its texels. Absent where nobody asked for it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub verification: Option<Verification>,
+    /// What was checked of the lightmap together with that.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub checks: Vec<Check>,
 }
 
 /// Which scene was baked.
@@ -207,6 +213,134 @@ pub struct EnergyLedger {
     pub remaining: [f64; 3],
     /// What is missing from the balance: the method's own loss.
     pub defect: [f64; 3],
+    /// Where the light was after every stage: `shoot`, `bounce 1` and so on, `stiff` (what the solver for bright rooms
+    /// added) or `tail` (the estimated rest of the bounces), `refresh`, `gather` (what the lightmap holds). Absent in
+    /// reports of earlier versions. Here no term is found by the balance itself.
+    #[serde(default)]
+    pub stages: Vec<EnergyStage>,
+}
+
+/// Where the light is after a stage, in lumens (linear RGB), all stages before it included: `emitted + from_sky =
+/// absorbed + escaped + in_flight + imbalance` in every band.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct EnergyStage {
+    pub name: String,
+    /// The lights' own flux; of suns the flux through the scene's silhouette.
+    pub emitted: [f64; 3],
+    /// The sky's flux to surfaces, by rays of its own.
+    pub from_sky: [f64; 3],
+    /// By surfaces, their backs, veils, and the distance windows of lamps.
+    pub absorbed: [f64; 3],
+    /// Left the scene.
+    pub escaped: [f64; 3],
+    /// Reflected and not propagated yet.
+    pub in_flight: [f64; 3],
+    /// Lost (positive) or made (negative).
+    pub imbalance: [f64; 3],
+    /// Standard error of what is estimated among these.
+    pub error: [f64; 3],
+    /// The imbalance as a share of `emitted + from_sky`, absolute values summed over the bands.
+    pub share: f64,
+    /// The standard error likewise.
+    pub share_error: f64,
+}
+
+impl EnergyStage {
+    /// Fills what follows from the other fields.
+    pub fn closed(mut self) -> Self {
+        for b in 0..3 {
+            self.imbalance[b] =
+                self.emitted[b] + self.from_sky[b] - self.absorbed[b] - self.escaped[b] - self.in_flight[b];
+        }
+        let all: f64 = self.emitted.iter().chain(&self.from_sky).sum();
+        let share = |of: &[f64; 3]| if all > 0.0 { of.iter().map(|x| x.abs()).sum::<f64>() / all } else { 0.0 };
+        (self.share, self.share_error) = (share(&self.imbalance), share(&self.error));
+        self
+    }
+}
+
+/// The error of a lightmap at some of its texels against the reference path tracer: shares of the mean irradiance, with
+/// intervals that hold the value with 95 % confidence.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Verification {
+    /// Why nothing was compared. Absent where something was.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub nothing: Option<String>,
+    /// Texels that were asked for, and that could be: covered by half and not buried.
+    pub asked: u64,
+    pub available: u64,
+    /// Texels that were drawn in proportion to their area, and the part of them that was compared: texels whose light is
+    /// that of a place beside them, because something stands on them, are not.
+    pub drawn: u64,
+    pub texels: u64,
+    /// Paths of the reference at each.
+    pub paths: u64,
+    /// Mean irradiance of the reference [lux].
+    pub mean_lux: f64,
+    /// Root mean square error, the reference's own noise taken off.
+    pub rmse: f64,
+    pub rmse_low: f64,
+    pub rmse_high: f64,
+    /// Mean error: positive where the lightmap is too bright.
+    pub bias: f64,
+    pub bias_low: f64,
+    pub bias_high: f64,
+    /// Percentiles of |ΔY| / max(Y, 1 % of the mean Y), Y the mean over the bands; the reference's noise is in them.
+    pub median: f64,
+    pub median_low: f64,
+    pub median_high: f64,
+    pub p95: f64,
+    pub p95_low: f64,
+    pub p95_high: f64,
+    /// Mean of Δ²/(E² + (1 % of the mean)²) over texels and bands, the reference's noise taken off.
+    pub rel_mse: f64,
+    /// Root mean square of the reference's standard error.
+    pub reference_noise: f64,
+    /// Of light straight from lamps, suns and emissive surfaces, and of all other light. Absent where a texel holds
+    /// the light of two sides, or one part alone.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub direct: Option<PartError>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub indirect: Option<PartError>,
+    /// Texels that were looked at for leaks alone.
+    pub probed: u64,
+    /// The texels with the largest errors, the worst first.
+    pub worst: Vec<Place>,
+}
+
+/// The error of a part of the light, as shares of the mean of all light, the reference's noise taken off.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct PartError {
+    pub mean_lux: f64,
+    pub rmse: f64,
+    pub bias: f64,
+}
+
+/// A texel whose light is not what it should be.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Place {
+    pub object: String,
+    /// In scene units.
+    pub position: [f64; 3],
+    pub page: u64,
+    /// Column and row on its page.
+    pub texel: [u64; 2],
+    /// Irradiance [lux] by the reference, and in the lightmap.
+    pub expected: [f64; 3],
+    pub found: [f64; 3],
+}
+
+/// Something that must hold of a lightmap.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Check {
+    /// `uv-overlap`, `buried`, `leaks`, `energy`, `values`.
+    pub name: String,
+    pub passed: bool,
+    pub value: f64,
+    /// The largest value that passes.
+    pub limit: f64,
+    /// What the value is, and where it is not what it should be what to do.
+    pub message: String,
 }
 
 /// Something a person should know.

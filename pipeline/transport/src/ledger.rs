@@ -26,12 +26,25 @@ pub struct Stage {
     pub sky: DVec3,
     /// What arrived at surfels.
     pub arrived: DVec3,
+    /// The part of that which they reflect.
+    pub reflected: DVec3,
 }
 
 impl Stage {
     /// Light that the sweep lost (positive) or made (negative).
     pub fn imbalance(&self) -> DVec3 {
         self.sent + self.sky - self.escaped - self.arrived
+    }
+
+    /// Every flux times a factor.
+    pub fn scaled(&self, factor: f64) -> Self {
+        Self {
+            sent: self.sent * factor,
+            escaped: self.escaped * factor,
+            sky: self.sky * factor,
+            arrived: self.arrived * factor,
+            reflected: self.reflected * factor,
+        }
     }
 }
 
@@ -43,7 +56,7 @@ pub struct Ledger {
     pub escaped: DVec3,
     pub in_flight: DVec3,
     pub imbalance: DVec3,
-    /// Sweep by sweep; the last one also holds the tail.
+    /// Sweep by sweep: the bounces, then the solver's own, or the tail that was added for the rest.
     pub stages: Vec<Stage>,
 }
 
@@ -68,12 +81,6 @@ impl Ledger {
 
     /// The same books in other units of area: the factor is `1 / frame.scale²` for squared scene units.
     pub fn scaled(&self, factor: f64) -> Self {
-        let stage = |s: &Stage| Stage {
-            sent: s.sent * factor,
-            escaped: s.escaped * factor,
-            sky: s.sky * factor,
-            arrived: s.arrived * factor,
-        };
         Self {
             shot: self.shot * factor,
             sky: self.sky * factor,
@@ -81,7 +88,7 @@ impl Ledger {
             escaped: self.escaped * factor,
             in_flight: self.in_flight * factor,
             imbalance: self.imbalance * factor,
-            stages: self.stages.iter().map(stage).collect(),
+            stages: self.stages.iter().map(|stage| stage.scaled(factor)).collect(),
         }
     }
 }

@@ -9,6 +9,7 @@
 //! | surfels | [`surfel`] | geometry → oriented voxel patches |
 //! | shoot | [`shoot`] | lights, surfels → direct irradiance at surfels, exact or by photons |
 //! | propagate | [`directions`], [`sweep`], [`solve`], [`ledger`] | direct irradiance → all bounces, with their energy |
+//! | books | [`energy`] | lights, surfels and their light → where the light is after every stage |
 //! | cache | [`octree`] | surfels and their light ↔ bytes |
 //! | direct light | [`direct`], [`sky_light`] | receivers → irradiance straight from lights and sky |
 //! | gather | [`lighttree`], [`gather`] | receivers → indirect irradiance with a stated bound |
@@ -22,6 +23,7 @@
 mod aside;
 pub mod direct;
 pub mod directions;
+pub mod energy;
 pub mod frame;
 pub mod gather;
 pub mod geometry;

@@ -333,7 +333,8 @@ impl Bounces<'_> {
         let arrived = flux(self.surfels(), |i| irradiance[i]);
         // What the sky brings is not separated from what the surfels send in the same sweep, but by the balance.
         let sky = if with_sky { (arrived + stage.escaped - stage.sent).max(DVec3::ZERO) } else { DVec3::ZERO };
-        Stage { sky, arrived, ..stage }
+        let reflected = flux(self.surfels(), |i| self.surfels().list[i].albedo() * irradiance[i]);
+        Stage { sky, arrived, reflected, ..stage }
     }
 
     fn run(&mut self, direct: &[Rgb], global_cache: &mut [Rgb]) -> Result<(), Cancelled> {
@@ -383,10 +384,8 @@ impl Bounces<'_> {
     fn add_tail(&mut self, last: &[Rgb], q: f64, global_cache: &mut [Rgb]) {
         let factor = q / (1.0 - q);
         global_cache.iter_mut().zip(last).for_each(|(g, e)| *g += *e * factor as f32);
-        if let Some(stage) = self.stages.last_mut() {
-            stage.sent *= 1.0 + factor;
-            stage.escaped *= 1.0 + factor;
-            stage.arrived *= 1.0 + factor;
+        if let Some(last) = self.stages.last().copied() {
+            self.stages.push(last.scaled(factor));
         }
     }
 

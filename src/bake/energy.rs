@@ -1,0 +1,348 @@
+//! The energy ledger of a bake, stage by stage, as its report tells it: kept with the light at surfels, so that a bake
+//! that reuses it reports the same figures.
+//!
+//! All entries are linear in the light, band by band: those of light groups are scaled by the groups' factors and added.
+//! A group that came to rest after fewer bounces than another stays where it was.
+
+use glam::DVec3;
+use luxel_atlas::Atlas;
+use luxel_export::report::{EnergyStage, Warning};
+use luxel_scene::Scene;
+use luxel_transport::{
+    Rgb,
+    energy::Balance,
+    geometry::Geometry,
+    ledger::{Stage as Sweep, flux},
+    surfel::{Solution, Surfels},
+};
+use serde::{Deserialize, Serialize};
+
+use super::light::Parts;
+
+/// Largest share of the emitted light that may be missing or too much.
+pub const LIMIT: f64 = 0.01;
+
+/// Fluxes by which later stages are booked [lm].
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Flows {
+    /// What surfels sent in all sweeps, and the part that left the scene.
+    sent: [f64; 3],
+    escaped: [f64; 3],
+    /// Arrived at the surfels that texels lie on, and the part that they absorb.
+    received: [f64; 3],
+    kept: [f64; 3],
+}
+
+impl Flows {
+    pub fn scaled(&self, factor: [f64; 3]) -> Self {
+        let scaled = |flux| times(flux, factor);
+        Self {
+            sent: scaled(self.sent),
+            escaped: scaled(self.escaped),
+            received: scaled(self.received),
+            kept: scaled(self.kept),
+        }
+    }
+
+    pub fn joined(&self, other: &Self) -> Self {
+        Self {
+            sent: sum(self.sent, other.sent),
+            escaped: sum(self.escaped, other.escaped),
+            received: sum(self.received, other.received),
+            kept: sum(self.kept, other.kept),
+        }
+    }
+
+    /// The share of reflected light that escapes.
+    fn open(&self) -> [f64; 3] {
+        [0, 1, 2].map(|b| if self.sent[b] > 0.0 { self.escaped[b] / self.sent[b] } else { 0.0 })
+    }
+}
+
+/// The books while light is made.
+#[derive(Clone, Debug, Default)]
+pub struct Books {
+    pub stages: Vec<EnergyStage>,
+    pub flows: Flows,
+    last: Balance,
+}
+
+impl Books {
+    pub fn open(shot: Option<Balance>) -> Self {
+        let mut books = Self { last: shot.unwrap_or_default(), ..Self::default() };
+        if shot.is_some() {
+            books.write("shoot".into());
+        }
+        books
+    }
+
+    /// Books the sweeps of a solution, the first of which brings the light of the sky; the first `bounces` of them are
+    /// bounces, and another one is the solver's where it took steps of its own, else the tail.
+    pub fn propagate(&mut self, sweeps: &[Sweep], bounces: usize, is_stiff: bool, sky: Option<(DVec3, DVec3)>) {
+        for (number, sweep) in sweeps.iter().enumerate() {
+            if let Some(sky) = sky.filter(|_| number == 0) {
+                self.last = self.last.with_sky(sky);
+            }
+            self.last = self.last.after(sweep);
+            self.flows.sent = sum(self.flows.sent, sweep.sent.to_array());
+            self.flows.escaped = sum(self.flows.escaped, sweep.escaped.to_array());
+            self.write(match number < bounces {
+                true => format!("bounce {}", number + 1),
+                false if is_stiff => "stiff".into(),
+                false => "tail".into(),
+            });
+        }
+    }
+
+    /// Books that indirect light was gathered anew at all surfels: what they absorb and let escape by it is other.
+    /// `area` is scene units squared over those of the frame.
+    pub fn refresh(&mut self, surfels: &Surfels, before: &Solution, after: &Solution, area: f64) {
+        let change = |i: usize| after.indirect[i].as_dvec3() - before.indirect[i].as_dvec3();
+        let (mut absorbed, mut reflected) = (DVec3::ZERO, DVec3::ZERO);
+        for (i, surfel) in surfels.list.iter().enumerate() {
+            let (albedo, arrived) = (surfel.albedo().as_dvec3(), change(i) * f64::from(surfel.area) * area);
+            absorbed += (1.0 - albedo) * arrived;
+            reflected += albedo * arrived;
+        }
+        self.last.absorbed += absorbed;
+        self.last.escaped += reflected * DVec3::from(self.flows.open());
+        self.write("refresh".into());
+    }
+
+    /// Notes what arrives where texels are.
+    pub fn receive(&mut self, geometry: &Geometry, surfels: &Surfels, solution: &Solution, area: f64) {
+        let comparable = comparable(geometry.scene);
+        let here = |i: usize| {
+            let surfel = &surfels.list[i];
+            !surfel.back() && comparable[geometry.triangles[surfel.triangle as usize].instance as usize]
+        };
+        let light = |i: usize| if here(i) { solution.direct[i] + solution.indirect[i] } else { Rgb::ZERO };
+        self.flows.received = (flux(surfels, light) * area).to_array();
+        self.flows.kept = (flux(surfels, |i| (Rgb::ONE - surfels.list[i].albedo()) * light(i)) * area).to_array();
+    }
+
+    fn write(&mut self, name: String) {
+        let Balance { emitted, sky, absorbed, escaped, in_flight, error } = self.last;
+        let stage = EnergyStage {
+            name,
+            emitted: emitted.to_array(),
+            from_sky: sky.to_array(),
+            absorbed: absorbed.to_array(),
+            escaped: escaped.to_array(),
+            in_flight: in_flight.to_array(),
+            error: error.to_array(),
+            ..EnergyStage::default()
+        };
+        self.stages.push(stage.closed());
+    }
+}
+
+/// Instances whose texels and surfels are of the same surface: what has holes, or lets light pass, has surfels of its
+/// solid part alone.
+fn comparable(scene: &Scene) -> Vec<bool> {
+    let is = |instance: &luxel_scene::Instance| {
+        let material = &scene.materials[scene.meshes[instance.mesh].material];
+        instance.receives && instance.casts && !material.unlit && material.is_opaque()
+    };
+    scene.instances.iter().map(is).collect()
+}
+
+/// Flux through the texels of the surfaces that [`Books::receive`] looks at [lm]. Of texels that something else partly
+/// covers those count whose points are free, with all of their area: the midpoint rule. So the `moved` ones do not, by
+/// rising index.
+pub fn through_texels(scene: &Scene, atlas: &Atlas, light: &Parts, moved: &[usize]) -> [f64; 3] {
+    let comparable = comparable(scene);
+    let mut sum = DVec3::ZERO;
+    for (i, texel) in atlas.texels.iter().enumerate() {
+        let is_free = !light.buried[i] && moved.binary_search(&i).is_err();
+        if is_free && comparable[atlas.chart(texel).instance as usize] {
+            let area = f64::from(texel.footprint()) * f64::from(texel.footprint()) * f64::from(texel.coverage());
+            sum += light.total(i).as_dvec3() * area;
+        }
+    }
+    sum.to_array()
+}
+
+/// Books the lightmap: what texels hold in the place of what surfels have. What is absorbed, and what escapes after it
+/// was reflected, changes in proportion; where some surfaces are not in the lightmap, those that are.
+pub fn gathered(stages: &mut Vec<EnergyStage>, flows: &Flows, through: [f64; 3]) {
+    let Some(last) = stages.last() else { return };
+    let mut stage = EnergyStage { name: "gather".into(), ..last.clone() };
+    let open = flows.open();
+    for b in 0..3 {
+        let kept = if flows.received[b] > 0.0 { flows.kept[b] / flows.received[b] } else { 0.0 };
+        let change = through[b] - flows.received[b];
+        stage.absorbed[b] += kept * change;
+        stage.escaped[b] += (1.0 - kept) * open[b] * change;
+    }
+    stages.push(stage.closed());
+}
+
+/// The books of stronger lights, by band.
+pub fn scaled(stages: &[EnergyStage], factor: [f64; 3]) -> Vec<EnergyStage> {
+    let one = |stage: &EnergyStage| {
+        let EnergyStage { name, emitted, from_sky, absorbed, escaped, in_flight, error, .. } = stage.clone();
+        EnergyStage {
+            name,
+            emitted: times(emitted, factor),
+            from_sky: times(from_sky, factor),
+            absorbed: times(absorbed, factor),
+            escaped: times(escaped, factor),
+            in_flight: times(in_flight, factor),
+            error: times(error, factor),
+            ..EnergyStage::default()
+        }
+        .closed()
+    };
+    stages.iter().map(one).collect()
+}
+
+/// The books of two light groups together.
+pub fn joined(a: &[EnergyStage], b: &[EnergyStage]) -> Vec<EnergyStage> {
+    let mut ranks: Vec<(u64, &str)> = a.iter().chain(b).map(|s| (rank(&s.name), s.name.as_str())).collect();
+    ranks.sort_unstable();
+    ranks.dedup();
+    let nothing = EnergyStage::default();
+    // What a group did until then; before its first stage there was no light of it.
+    let until = |stages: &[EnergyStage], wanted: u64| {
+        stages.iter().rev().find(|s| rank(&s.name) <= wanted).cloned().unwrap_or_else(|| nothing.clone())
+    };
+    let one = |(wanted, name): (u64, &str)| {
+        let (a, b) = (until(a, wanted), until(b, wanted));
+        EnergyStage {
+            name: name.into(),
+            emitted: sum(a.emitted, b.emitted),
+            from_sky: sum(a.from_sky, b.from_sky),
+            absorbed: sum(a.absorbed, b.absorbed),
+            escaped: sum(a.escaped, b.escaped),
+            in_flight: sum(a.in_flight, b.in_flight),
+            error: [0, 1, 2].map(|i| a.error[i].hypot(b.error[i])),
+            ..EnergyStage::default()
+        }
+        .closed()
+    };
+    ranks.into_iter().map(one).collect()
+}
+
+/// The order of stages.
+fn rank(name: &str) -> u64 {
+    const LAST_BOUNCE: u64 = 1 << 32;
+    let bounce = name.strip_prefix("bounce ").and_then(|number| number.parse::<u64>().ok());
+    match (bounce, name) {
+        (Some(number), _) => number.min(LAST_BOUNCE),
+        (None, "shoot") => 0,
+        (None, "stiff") => LAST_BOUNCE + 1,
+        (None, "tail") => LAST_BOUNCE + 2,
+        (None, "refresh") => LAST_BOUNCE + 3,
+        (None, _) => LAST_BOUNCE + 4,
+    }
+}
+
+/// The stage after which most is amiss beyond twice the standard error of its estimates, and by what share.
+pub fn worst(stages: &[EnergyStage]) -> Option<(&EnergyStage, f64)> {
+    let sure = stages.iter().map(|stage| (stage, (stage.share - 2.0 * stage.share_error).max(0.0)));
+    sure.max_by(|(_, a), (_, b)| a.total_cmp(b))
+}
+
+/// What a person should know of books that do not balance: the first stage that is surely amiss, and the table.
+pub fn warning(stages: &[EnergyStage]) -> Option<Warning> {
+    let is_amiss = |stage: &&EnergyStage| stage.share - 2.0 * stage.share_error > LIMIT;
+    let stage = stages.iter().find(is_amiss)?;
+    let lost = if stage.imbalance.iter().sum::<f64>() >= 0.0 { "is missing" } else { "is too much" };
+    let message = format!(
+        "after the stage {} {:.1} % of the light {lost} (standard error {:.1} %; {:.0} % may be): {}; stage by stage: {}",
+        stage.name,
+        100.0 * stage.share,
+        100.0 * stage.share_error,
+        100.0 * LIMIT,
+        remedy(&stage.name),
+        table(stages)
+    );
+    Some(Warning { code: "energy".into(), message })
+}
+
+/// What to do where a stage loses or makes light.
+pub fn remedy(stage: &str) -> &'static str {
+    match stage {
+        "shoot" => "smaller voxels (--voxels) resolve the light near lamps and edges",
+        "refresh" => "more rays (--refresh) or smaller voxels (--voxels)",
+        "gather" => "a finer gather (--cut-error, --gather-rays) or smaller voxels (--voxels)",
+        _ => "smaller voxels (--voxels), more directions (--directions), or --closed yes for a closed scene",
+    }
+}
+
+fn table(stages: &[EnergyStage]) -> String {
+    let entry = |stage: &EnergyStage| {
+        let sign = if stage.imbalance.iter().sum::<f64>() < 0.0 { "+" } else { "-" };
+        format!("{} {sign}{:.2} %", stage.name, 100.0 * stage.share)
+    };
+    stages.iter().map(entry).collect::<Vec<_>>().join(", ")
+}
+
+fn sum(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
+    [0, 1, 2].map(|i| a[i] + b[i])
+}
+
+fn times(flux: [f64; 3], factor: [f64; 3]) -> [f64; 3] {
+    [0, 1, 2].map(|i| flux[i] * factor[i])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn stage(name: &str, emitted: f64, absorbed: f64, in_flight: f64) -> EnergyStage {
+        let all = |x: f64| [x; 3];
+        EnergyStage {
+            name: name.into(),
+            emitted: all(emitted),
+            absorbed: all(absorbed),
+            in_flight: all(in_flight),
+            ..EnergyStage::default()
+        }
+        .closed()
+    }
+
+    #[test]
+    fn books_that_do_not_balance_are_noticed_by_their_first_stage() {
+        let good = [stage("shoot", 1.0, 0.4, 0.6), stage("bounce 1", 1.0, 0.7, 0.295)];
+        assert_eq!(warning(&good), None);
+        let bad = [good[0].clone(), stage("bounce 1", 1.0, 0.7, 0.25), stage("tail", 1.0, 0.9, 0.0)];
+        let said = warning(&bad).unwrap();
+        assert_eq!(said.code, "energy");
+        assert!(said.message.starts_with("after the stage bounce 1 5.0 % of the light is missing"), "{}", said.message);
+        assert!(said.message.contains("shoot -0.00 %, bounce 1 -5.00 %, tail -10.00 %"), "{}", said.message);
+        let made = [stage("shoot", 1.0, 0.6, 0.6)];
+        assert!(warning(&made).unwrap().message.contains("20.0 % of the light is too much"));
+        // What may be noise is no finding.
+        let noisy = EnergyStage { error: [0.1; 3], ..made[0].clone() }.closed();
+        assert_eq!(warning(&[noisy]), None);
+        assert_eq!(worst(&bad).map(|(stage, _)| stage.name.as_str()), Some("tail"));
+    }
+
+    #[test]
+    fn groups_of_different_length_are_added_stage_by_stage() {
+        let lamp = [stage("shoot", 1.0, 0.4, 0.6), stage("bounce 1", 1.0, 0.7, 0.3), stage("bounce 2", 1.0, 0.9, 0.1)];
+        let sky = [stage("bounce 1", 0.0, 2.0, 1.0), stage("tail", 0.0, 3.0, 0.0)];
+        let both = joined(&lamp, &scaled(&sky, [2.0, 1.0, 0.0]));
+        let names: Vec<&str> = both.iter().map(|s| s.name.as_str()).collect();
+        assert_eq!(names, ["shoot", "bounce 1", "bounce 2", "tail"]);
+        let absorbed: Vec<f64> = both.iter().map(|s| s.absorbed[0]).collect();
+        assert_eq!(absorbed, [0.4, 4.7, 4.9, 6.9]);
+        assert_eq!(both[1].absorbed, [4.7, 2.7, 0.7]);
+    }
+
+    #[test]
+    fn a_lightmap_that_is_too_bright_by_a_share_is_out_by_that_share() {
+        // A closed room: all that is emitted is absorbed, a fifth of what arrives.
+        let mut stages = vec![stage("tail", 1.0, 1.0, 0.0)];
+        let flows = Flows { received: [5.0; 3], kept: [1.0; 3], ..Flows::default() };
+        gathered(&mut stages, &flows, [5.1; 3]);
+        assert!((stages[1].share - 0.02).abs() < 1e-12, "{stages:?}");
+        // An open one: half of what is reflected leaves.
+        let mut stages = vec![stage("tail", 1.0, 0.2, 0.8)];
+        let open = Flows { sent: [2.0; 3], escaped: [1.0; 3], received: [1.0; 3], kept: [0.2; 3] };
+        gathered(&mut stages, &open, [1.1; 3]);
+        assert!((stages[1].share - (0.02 + 0.04)).abs() < 1e-12, "{stages:?}");
+    }
+}
