@@ -43,6 +43,14 @@ pub enum Error {
          bake), and name its folder or store as then (--out, --store)"
     )]
     NotStored { what: String, store: PathBuf },
+    #[error("there is no camera {name:?}; the scene has: {cameras}")]
+    Camera { name: String, cameras: String },
+    #[error(
+        "a picture of {width} × {height} pixels is too large: at most {} on a side and {} in all",
+        crate::render::lens::MOST_SIDE,
+        crate::render::lens::MOST_PIXELS
+    )]
+    PictureSize { width: u32, height: u32 },
     #[error(transparent)]
     Export(ExportError),
     #[error(

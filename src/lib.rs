@@ -33,7 +33,7 @@ pub mod discover;
 mod error;
 pub mod live;
 pub mod plan;
-pub mod preview;
+pub mod render;
 pub mod settings;
 pub mod store;
 pub mod text;

@@ -206,7 +206,8 @@ mod tests {
         let Task::Bake(args) = Cli::try_parse_from(line.split(' ')).unwrap().task else { panic!("{line}") };
         let cancelled = Arc::new(AtomicBool::new(false));
         let (found, missing) = (Vec::new(), Vec::new());
-        let task = Job { found, missing, config: None, style: Style::Quiet, cancelled: cancelled.clone() };
+        let cancelled_too = cancelled.clone();
+        let task = Job { found, missing, config: None, style: Style::Quiet, cancelled: cancelled_too, deed: "baked" };
         test(&Fleet { task: &task, args: &args, screen: Screen::new(Style::Quiet), worker: None }, &cancelled);
     }
 
