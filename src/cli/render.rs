@@ -283,7 +283,7 @@ impl Scene<'_> {
         match self.reporter.style() {
             Style::Quiet => {}
             Style::Json => {
-                let methods: Vec<Value> = rows()
+                let all: Vec<Value> = rows()
                     .map(|(method, trial, d)| {
                         let mut row = figures(method, &trial.picture, trial.seconds);
                         (row["rmse"], row["bias"], row["p95"]) = (d.rmse.into(), d.bias.into(), d.p95.into());
@@ -292,8 +292,8 @@ impl Scene<'_> {
                     .collect();
                 event(&json!({
                     "event": "compared", "scene": print::written(&self.found.scene),
-                    "against": trials[against].name, "width": reference.width, "height": reference.height,
-                    "exposure": ev, "reflected": reference.mean_reflected(), "methods": methods,
+                    "against": methods[against].entry.name, "width": reference.width, "height": reference.height,
+                    "exposure": ev, "reflected": reference.mean_reflected(), "methods": all,
                     "outputs": written(&[&self.files.sheet]), "warnings": self.warnings(),
                 }));
             }

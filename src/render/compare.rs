@@ -146,12 +146,13 @@ pub fn digits(value: f64) -> String {
     }
 }
 
-/// What the strongest colours stand for: the largest 95th percentile, rounded up to 1, 2 or 5 times a power of ten.
+/// What the strongest colours stand for: the largest 95th percentile, rounded up to 1, 2 or 5 times a power of ten but
+/// for a hair.
 fn scale(differences: &[Difference]) -> f32 {
     let largest = differences.iter().map(|d| d.p95).fold(1e-3, f64::max);
     let power = libm::exp10(libm::floor(libm::log10(largest)));
     let steps = [1.0, 2.0, 5.0, 10.0];
-    (steps.into_iter().map(|s| s * power).find(|s| *s >= largest * (1.0 - 1e-9)).unwrap_or(largest)) as f32
+    (steps.into_iter().map(|s| s * power).find(|s| *s >= largest * (1.0 - 1e-4)).unwrap_or(largest)) as f32
 }
 
 /// The difference of two pictures in false colour.

@@ -97,9 +97,19 @@ pub fn expose(
     tone: &ToneMap,
     progress: &dyn Progress,
 ) -> Result<Picture, Cancelled> {
+    by_bands((BAND / screen.width).max(1), screen, light, tone, progress)
+}
+
+/// The same, so many rows at a time.
+fn by_bands(
+    rows: u32,
+    screen: &Screen,
+    light: &dyn Illumination,
+    tone: &ToneMap,
+    progress: &dyn Progress,
+) -> Result<Picture, Cancelled> {
     let Screen { width, height, .. } = *screen;
     let mut film = Film { screen, light, tone, progress, picture: Picture::black(width, height) };
-    let rows = (BAND / width).max(1);
     let mut open = Open::default();
     for from in (0..height).step_by(rows as usize) {
         let to = (from + rows).min(height);
@@ -271,5 +281,148 @@ impl Film<'_> {
         }
         pixels.par_iter_mut().for_each(|(_, pixel)| pixel.settle());
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::render::lens::{Lens, camera};
+    use crate::render::march::Look;
+    use glam::{DVec3, Vec3};
+    use luxel_scene::{Scene, Silent, Sky, build::Builder};
+    use luxel_transport::{geometry::Geometry, rays::Rays};
+    use std::sync::atomic::{AtomicU64, Ordering};
+
+    const SIDE: u32 = 32;
+    const TONE: ToneMap = ToneMap { exposure: 1.0, white: 4.0 };
+
+    /// Light by place, and how often it was asked for.
+    struct Lamp<F>(F, AtomicU64);
+
+    impl<F: Fn(Vec3) -> f32 + Sync> Illumination for Lamp<F> {
+        fn light(&self, points: &[Point], _: &dyn Progress) -> Result<Vec<Lit>, Cancelled> {
+            self.1.fetch_add(points.len() as u64, Ordering::Relaxed);
+            let lit = |p: &Point| Lit { irradiance: Rgb::splat((self.0)(p.receiver.position)), ..Lit::default() };
+            Ok(points.iter().map(lit).collect())
+        }
+    }
+
+    fn lamp<F: Fn(Vec3) -> f32 + Sync>(at: F) -> Lamp<F> {
+        Lamp(at, AtomicU64::new(0))
+    }
+
+    /// Work with the screen of a camera at the origin, which sees x and y from −1 to 1 at z = −1.
+    fn seen<T>(scene: &Scene, samples: u32, work: impl FnOnce(&Screen) -> T) -> T {
+        let geometry = Geometry::new(scene);
+        let rays = Rays::new(&geometry);
+        let look = Look { rays: &rays, emission: None, sky: Rgb::ONE };
+        let ahead = camera(DVec3::ZERO, DVec3::NEG_Z, std::f64::consts::FRAC_PI_2);
+        let lens = Lens::new(&ahead, &geometry.frame, 1.0);
+        work(&Screen { look: &look, lens: &lens, width: SIDE, height: SIDE, samples, pass: 0 })
+    }
+
+    fn show(scene: &Scene, samples: u32, light: &dyn Illumination) -> Picture {
+        seen(scene, samples, |screen| expose(screen, light, &TONE, &Silent).unwrap())
+    }
+
+    /// A wall that shines, right of the line x = edge + slope·y at unit distance.
+    fn half(edge: f32, slope: f32) -> Scene {
+        let mut b = Builder::new("half");
+        let glow = b.emitter(Vec3::ZERO, Vec3::ONE);
+        let up = Vec3::new(slope, 1.0, 0.0) * 4.0;
+        b.quad("wall", Vec3::new(edge, 0.0, -1.0) - 0.5 * up, Vec3::X * 4.0, up, glow);
+        b.build()
+    }
+
+    #[test]
+    fn an_edge_shows_its_coverage_and_takes_samples_only_near_it() {
+        let dark = lamp(|_| 0.0);
+        for tenths in 0..10 {
+            // So many tenths of a column are bare.
+            let bare = tenths as f32 / 10.0;
+            let picture = show(&half(2.0 * (bare / SIDE as f32), 0.0), 16, &dark);
+            for row in picture.radiance.chunks(SIDE as usize) {
+                assert!((row[16].x - (1.0 - bare)).abs() <= 0.5 / 16.0 + 1e-3, "{bare}: {}", row[16].x);
+                assert!(row[..16].iter().all(|l| l.x == 0.0) && row[17..].iter().all(|l| l.x == 1.0));
+            }
+            let near = 3 * u64::from(SIDE);
+            assert!(picture.spent.samples <= u64::from(SIDE * SIDE * FIRST) + 12 * near, "{:?}", picture.spent);
+        }
+        // A slanted one covers what it covers, and converges to it.
+        let scene = half(0.03, 0.37);
+        let exact = 0.5 * (1.0 - 0.03);
+        let error = |samples| {
+            let picture = show(&scene, samples, &dark);
+            let mean = picture.radiance.iter().map(|l| f64::from(l.x)).sum::<f64>() / picture.radiance.len() as f64;
+            (mean - exact).abs()
+        };
+        assert!(error(16) < 2e-3 && error(256) < 2e-4, "{} {}", error(16), error(256));
+        assert!(error(1) > error(256));
+    }
+
+    #[test]
+    fn a_shadow_edge_is_asked_about_at_every_sample_and_the_rest_once_a_pixel() {
+        let mut b = Builder::new("floor");
+        let white = b.matte(Vec3::splat(0.8));
+        b.quad("floor", Vec3::new(-3.0, -3.0, -1.0), Vec3::X * 6.0, Vec3::Y * 6.0, white);
+        let scene = b.build();
+        // Seven tenths of a column right of the middle the shadow begins.
+        let edge = Geometry::new(&scene).frame.length(2.0 * 0.7 / f64::from(SIDE));
+        let lit = lamp(|p| if p.x < edge { 3.0 } else { 0.0 });
+        let picture = show(&scene, 16, &lit);
+        let light = 3.0 * 0.8 / std::f32::consts::PI;
+        for row in picture.radiance.chunks(SIDE as usize) {
+            assert!(row[..16].iter().all(|l| (l.x - light).abs() < 1e-5) && row[17..].iter().all(|l| l.x == 0.0));
+            assert!((row[16].x / light - 0.7).abs() <= 0.5 / 16.0 + 1e-3, "{}", row[16].x / light);
+        }
+        let asked = lit.1.into_inner();
+        assert_eq!(asked, picture.spent.points);
+        assert!(asked < u64::from(SIDE * SIDE) + 16 * 3 * u64::from(SIDE), "{asked}");
+        // Even light is asked for once a pixel.
+        let even = lamp(|_| 1.0);
+        assert_eq!(show(&scene, 16, &even).spent.points, u64::from(SIDE * SIDE));
+    }
+
+    #[test]
+    fn bands_of_any_height_make_the_same_picture() {
+        let mut scene = half(0.01, -0.6);
+        scene.sky = Sky::Constant(Vec3::splat(0.25));
+        let light = lamp(|p| (p.x * 0.01).sin().abs());
+        seen(&scene, 8, |screen| {
+            let by = |rows| by_bands(rows, screen, &light, &TONE, &Silent).unwrap();
+            let whole = by(SIDE);
+            for rows in [1, 2, 5, 31] {
+                assert!(by(rows) == whole, "{rows}");
+            }
+        });
+    }
+
+    #[test]
+    fn the_background_is_exact_and_nothing_is_asked_for() {
+        let mut scene = Scene { sky: Sky::Constant(Vec3::new(0.1, 0.2, 3.0)), ..Scene::default() };
+        let light = lamp(|_| f32::NAN);
+        let picture = show(&scene, 16, &light);
+        assert!(picture.radiance.iter().all(|l| *l == Rgb::new(0.1, 0.2, 3.0)));
+        assert_eq!((picture.spent.points, picture.spent.samples), (0, u64::from(SIDE * SIDE * FIRST)));
+        scene.sky = Sky::None;
+        assert!(show(&scene, 16, &light).radiance.iter().all(|l| *l == Rgb::ZERO));
+        assert!(seen(&scene, 16, |screen| expose(screen, &light, &TONE, &luxel_scene::Unwanted)).is_err());
+    }
+
+    #[test]
+    fn passes_blend_by_their_weights_and_their_errors_shrink() {
+        let with = |level: f32, error: f32| {
+            let mut picture = Picture::black(1, 1);
+            (picture.radiance[0], picture.reflected[0], picture.error[0]) =
+                (Rgb::splat(level), Rgb::splat(level), error);
+            picture
+        };
+        let mut sum = with(1.0, 0.2);
+        sum.blend(&with(3.0, 0.2), 0.5);
+        assert_eq!(sum.radiance[0], Rgb::splat(2.0));
+        assert!((sum.error[0] - 0.2 / 2.0f32.sqrt()).abs() < 1e-6);
+        assert!((sum.relative_error().unwrap() - f64::from(sum.error[0]) / 2.0).abs() < 1e-6);
+        assert_eq!(with(1.0, 0.0).relative_error(), None);
     }
 }

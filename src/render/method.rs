@@ -46,7 +46,7 @@ pub struct Draws {
 const PATHS: Draws = Draws { name: "paths", usual: 64, is_progressive: false };
 
 /// All of them; the first is the default.
-pub const METHODS: &[Entry] = &[
+pub static METHODS: &[Entry] = &[
     Entry {
         name: "lightcuts",
         title: "voxel solution, lightcuts at every point",

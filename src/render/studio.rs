@@ -222,3 +222,129 @@ pub fn at(lit: &Lit, instance: u32, triangle: u32, u: f32, v: f32) -> Option<Rgb
     let uv = a * (1.0 - u - v) + b * u + c * v;
     Some(sample_lightmap(&lit.lightmaps, placed.page, uv))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::render::method::{Chosen, METHODS};
+    use crate::settings::{
+        Voxels,
+        value::{Samples, Texels},
+    };
+    use glam::{DVec3, Vec3};
+    use luxel_scene::{Material, Silent, Sky, build::Builder};
+
+    fn settings() -> Settings {
+        let medium = Settings::default();
+        Settings { size: Texels(64), voxels: Voxels::Budget(4000), directions: Samples(128), ..medium }
+    }
+
+    fn order(eye: DVec3, target: DVec3) -> Order {
+        let size = Size { width: Some(24), height: Some(16) };
+        Order { view: View::from(eye, target, 70.0).unwrap(), size, samples: 16, exposure: None }
+    }
+
+    /// Pictures by every method, with few draws.
+    fn pictures(scene: &Scene, order: &Order) -> Vec<(&'static str, Picture)> {
+        let all = |studio: &Studio| {
+            let by = |entry: &'static crate::render::method::Entry| {
+                let draws = entry.draws.map_or(0, |d| d.usual);
+                let chosen = Chosen { entry, draws };
+                Ok((entry.name, studio.picture(chosen.way(draws), 0, &Silent)?))
+            };
+            METHODS.iter().map(by).collect()
+        };
+        Studio::of(scene, &settings(), order, None, &Silent, all).unwrap()
+    }
+
+    /// Everything in a closed box of albedo ρ that shines with Lₑ shows Lₑ/(1 − ρ), whoever looks.
+    #[test]
+    fn a_furnace_shows_the_same_radiance_everywhere_by_every_method() {
+        let mut b = Builder::new("furnace");
+        let glow = b.emitter(Vec3::splat(0.5), Vec3::ONE);
+        b.cuboid("box", Vec3::ZERO, Vec3::new(3.0, 2.0, 4.0), glow, true);
+        let scene = b.build();
+        for (name, picture) in pictures(&scene, &order(DVec3::new(0.7, 0.8, 0.4), DVec3::new(1.9, 1.1, 3.8))) {
+            let far = |l: &Rgb| (*l - Rgb::splat(2.0)).abs().max_element();
+            let worst = picture.radiance.iter().zip(&picture.error).map(|(l, e)| far(l) - 5.0 * e).fold(0.0, f32::max);
+            let mean = picture.radiance.iter().map(|l| l.x).sum::<f32>() / picture.radiance.len() as f32;
+            println!("{name}: mean {mean}, worst {worst} beyond five standard errors");
+            assert!(worst <= 0.02 && (mean - 2.0).abs() <= 0.01, "{name}: {worst} {mean}");
+        }
+    }
+
+    /// A white plane under an even sky shows ρL, whether its light is the sky's own or that of a cache.
+    #[test]
+    fn a_plane_under_an_even_sky_shows_it_by_every_method_and_the_sky_is_exact() {
+        let mut b = Builder::new("plane");
+        let grey = b.matte(Vec3::splat(0.6));
+        b.quad("plane", Vec3::new(-9.0, 0.0, 9.0), Vec3::X * 18.0, Vec3::NEG_Z * 18.0, grey);
+        b.scene_mut().sky = Sky::Constant(Vec3::new(1.0, 2.0, 4.0));
+        let scene = b.build();
+        for (name, picture) in pictures(&scene, &order(DVec3::new(0.0, 2.0, 5.0), DVec3::new(0.0, 0.0, -4.0))) {
+            let (top, bottom) = (picture.radiance[12], picture.radiance[15 * 24 + 12]);
+            assert_eq!(top, Rgb::new(1.0, 2.0, 4.0), "{name}");
+            assert!((bottom / top - 0.6).abs().max_element() < 0.012, "{name}: {}", bottom / top);
+        }
+    }
+
+    #[test]
+    fn the_back_of_a_double_sided_sheet_is_lit_from_its_own_side() {
+        let mut b = Builder::new("sheet");
+        let paper = b.material(Material {
+            base_color: Vec3::splat(0.5).extend(1.0),
+            double_sided: true,
+            ..Material::default()
+        });
+        // Its front looks up, away from the lamp.
+        b.quad("sheet", Vec3::new(-1.0, 0.0, 1.0), Vec3::X * 2.0, Vec3::NEG_Z * 2.0, paper);
+        let kind = luxel_scene::LightKind::Point { position: DVec3::NEG_Y, range: None, radius: 0.0 };
+        b.light("lamp", kind, Vec3::splat(10.0));
+        let scene = b.build();
+        let look = |eye| {
+            let order = order(eye, DVec3::ZERO);
+            let chosen = Chosen { entry: &METHODS[0], draws: 0 };
+            let middle = |p: Picture| p.radiance[8 * 24 + 12].x;
+            let picture = |studio: &Studio| studio.picture(chosen.way(0), 0, &Silent);
+            middle(Studio::of(&scene, &settings(), &order, None, &Silent, picture).unwrap())
+        };
+        assert!(look(DVec3::new(0.0, 2.0, 0.1)) < 1e-3, "the front is dark");
+        let below = look(DVec3::new(0.0, -2.0, 0.1));
+        let expected = 10.0 * 0.5 / std::f32::consts::PI;
+        assert!((below / expected - 1.0).abs() < 0.05, "{below} {expected}");
+    }
+
+    #[test]
+    fn what_blocks_no_light_is_seen_all_the_same() {
+        let mut b = Builder::new("ghost");
+        let glow = b.emitter(Vec3::ZERO, Vec3::ONE);
+        b.quad("ghost", Vec3::new(-1.0, -1.0, 0.0), Vec3::X * 2.0, Vec3::Y * 2.0, glow);
+        b.scene_mut().instances[0].casts = false;
+        let scene = b.build();
+        let chosen = Chosen { entry: &METHODS[0], draws: 0 };
+        let order = order(DVec3::Z * 2.0, DVec3::ZERO);
+        let picture = |studio: &Studio| studio.picture(chosen.way(0), 0, &Silent);
+        let picture = Studio::of(&scene, &settings(), &order, None, &Silent, picture).unwrap();
+        assert_eq!(picture.radiance[8 * 24 + 12], Rgb::ONE);
+    }
+
+    #[test]
+    fn passes_differ_and_their_blend_is_the_same_every_time() {
+        let scene = luxel_assets::cornell();
+        let size = Size { width: Some(12), height: Some(12) };
+        let order = Order { view: View::Scene, size, samples: 4, exposure: Some(3.0) };
+        let entry = crate::render::method::named("paths").unwrap();
+        let take = || {
+            let chosen = Chosen { entry, draws: 8 };
+            let both = |studio: &Studio| {
+                let mut first = studio.picture(chosen.way(4), 0, &Silent)?;
+                let second = studio.picture(chosen.way(4), 1, &Silent)?;
+                assert!(first.radiance != second.radiance);
+                first.blend(&second, 0.5);
+                Ok(first)
+            };
+            Studio::of(&scene, &settings(), &order, None, &Silent, both).unwrap()
+        };
+        assert!(take() == take());
+    }
+}
