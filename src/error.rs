@@ -58,6 +58,10 @@ pub enum Error {
          {part} ({part_needs} MiB): {remedy}, or give luxel more memory (swap counts)"
     )]
     Memory { needed: u64, most: u64, part: &'static str, part_needs: u64, remedy: &'static str },
+    #[error("the target is out of reach: {what}")]
+    Target { what: String },
+    #[error("cannot write the report: {what}")]
+    Report { what: String },
     #[error("cannot start {threads} threads; try fewer with --threads")]
     Threads { threads: u32, source: rayon::ThreadPoolBuildError },
     /// A fault of luxel: something panicked. Other scenes are not concerned.

@@ -11,7 +11,7 @@
 //! | rays | geometry → `Rays` | geometry, holes | there is no light |
 //! | surfels | geometry, materials → `Surfels` | geometry, materials, voxels, area | light does not bounce, or is not wanted |
 //! | shoot | lights, `Surfels` → direct irradiance at surfels | lights, surfels, shadow samples, photons; with very many emissive surfaces cut error, cut limit, near rays | the sky is the only light |
-//! | propagate | direct irradiance → `Solution` | the above, sky, directions, direction set, rule, closed, bounces, tolerance | as surfels |
+//! | propagate | direct irradiance → `Solution` | the above, sky, directions, their decay, direction set, rule, closed, bounces, tolerance | as surfels |
 //! | refresh | rays, `Solution` → `Solution` gathered anew | the above, refresh rays | switched off, and as surfels |
 //! | cache | `Solution` → octree file | the above | as surfels |
 //! | clear | rays, `Atlas` → buried texels moved or marked | geometry, atlas | there is no light |
@@ -36,6 +36,7 @@ pub mod plan;
 pub mod render;
 pub mod settings;
 pub mod store;
+pub mod study;
 pub mod text;
 pub mod watch;
 

@@ -81,13 +81,6 @@ fn the_lightmap_of_a_bake_is_shown_without_another_bake() {
     let before = files(&folder.path().join("baked"));
     let to = ["--method", "lightmap", "--to", "pictures/lit.png", "--width", "60", "--aa", "4", "--json"];
     let run = luxel(&[&["render", "cornell.glb"], &bake[..], &to].concat(), folder.path()).ended(0);
-    for stage in ["propagate", "gather", "direct", "unwrap"] {
-        assert!(
-            !events(&run)
-                .iter()
-                .any(|e| e["event"] == "finished" && e["stage"] == stage && e["seconds"].as_f64() > Some(2.0))
-        );
-    }
     assert!(!run.stdout.contains("\"gather\"") && !run.stdout.contains("\"propagate\""), "{}", run.stdout);
     assert!(files(&folder.path().join("baked")) == before);
     let pictures: Vec<String> = files(&folder.path().join("pictures")).into_keys().collect();
@@ -137,7 +130,7 @@ fn a_progressive_picture_is_written_at_every_pass() {
     // Time alone ends it, too.
     let timed = ["cornell.glb", "--method", "paths", "--time", "0.5", "--to", "timed.png"];
     let said = render(&timed, folder.path()).ended(0).stderr;
-    assert!(said.contains("pass 1: paths, 4 paths, noise") && said.contains("timed.png"), "{said}");
+    assert!(said.contains("pass 1: 4 paths, noise") && said.contains("timed.png"), "{said}");
 }
 
 #[test]
@@ -153,7 +146,7 @@ fn what_cannot_be_pictured_is_told_before_anything_is_done() {
         (vec!["--height", "0"], "--height"),
         (vec!["--height", "1000000"], "--height"),
         (vec!["--aa", "-1"], "--aa"),
-        (vec!["--time", "3"], "draw at random"),
+        (vec!["--time", "3"], "for the methods paths and samples"),
         (vec!["--compare", "paths,paths"], "compared to itself"),
         (vec!["two_rooms.glb", "--to", "one.png"], "--to names one picture"),
     ] {

@@ -5,7 +5,7 @@
 //! clear     ← layout, shape
 //! surfels   ← shape, matter, voxels, area
 //! shoot_g   ← surfels, lights of g, shadow samples, photons, and where there are any, the names that seed them
-//! solution_g← shoot_g, sky if it is in g, directions, bounces, …, refresh
+//! solution_g← shoot_g, sky if it is in g, directions, decay, bounces, …, refresh
 //! direct_g  ← clear, lights of g, shadow samples
 //! sky       ← clear, sky, sky rays, node spacing
 //! gather_g  ← clear, solution_g, gather settings
@@ -48,7 +48,8 @@ pub const SHADOWS: [&str; 1] = ["shadow_samples"];
 /// Too many emissive surfaces are gathered by cuts, at surfels and at texels.
 pub const CROWD: [&str; 3] = ["cut_error", "cut_limit", "near_rays"];
 pub const PHOTONS: [&str; 1] = ["photons"];
-pub const SOLUTION: [&str; 7] = ["directions", "bounces", "tolerance", "closed", "direction_set", "rule", "refresh"];
+pub const SOLUTION: [&str; 8] =
+    ["directions", "direction_decay", "bounces", "tolerance", "closed", "direction_set", "rule", "refresh"];
 pub const SKY_LIGHT: [&str; 2] = ["sky_rays", "node_spacing"];
 pub const GATHER: [&str; 5] = ["cut_error", "cut_limit", "near_rays", "gather_rays", "node_spacing"];
 /// Read by what they come to, together with others; the last one leaves stages out.

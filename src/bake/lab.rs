@@ -10,35 +10,40 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::rc::Rc;
 use std::sync::Arc;
+use std::time::Instant;
 
+use cpu_time::ProcessTime;
 use luxel_atlas::{Atlas, AtlasReport, InProcess};
 use luxel_export::report::Stage as Entry;
 use luxel_scene::{Progress, Scene};
 use luxel_transport::{
     Rgb,
     direct::Visibility,
-    gather::{Field, FinalGather, Lightcuts, Lookup},
+    gather::{Field, FinalGather, Lightcuts, Lookup, PhotonMap, VoxelSamples, photon_map},
     geometry::Geometry,
     lights::Emitters,
-    methods::{Method, PathTracing, Reconstruction, Straight},
+    methods::{Cached, Method, PathTracing, RandomVoxels, Reconstruction, Straight},
     rays::Rays,
     reference::{Options, Reference},
     sky_light::{SkyLight, SkySettings},
     surfel::{Solution, Surfels},
 };
 
+use super::digest::Digest;
 use super::groups::Lighting;
 use super::journal::Journal;
 use super::keys::Keys;
 use super::light::Parts;
+use super::receivers::Side;
 use super::record::Record;
+use super::threads::with_threads;
 use super::tracer::Tracer;
 use super::transport::{Facts, Transport};
 use super::{Baking, atlas, direct, input, parts, texels};
 use crate::Error;
 use crate::plan::{Plan, Stage};
 use crate::settings::{Gatherer, Settings};
-use crate::store::Store;
+use crate::store::{Key, Store};
 
 /// Reads a scene as its file says, with the sky that the settings name.
 ///
@@ -51,13 +56,42 @@ pub fn load(path: &Path, settings: &Settings, progress: &dyn Progress) -> Result
     Ok(scene)
 }
 
+/// Works on as many threads as the settings say.
+///
+/// # Errors
+/// Those of the work, and where threads cannot be started; a panic is an internal error.
+pub fn on_threads<T: Send>(settings: &Settings, work: impl FnOnce() -> Result<T, Error> + Send) -> Result<T, Error> {
+    with_threads(settings, work)
+}
+
 /// A method with what it may spend.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Technique {
     /// So many walks a receiver.
     PathTracing { paths: u32 },
+    /// Photon mapping with so many photons, gathered by lightcuts.
+    PhotonMap { photons: u32 },
+    /// Random sample voxels of the cached solution: so many passes of two sets.
+    SampleVoxels { passes: u32 },
+    /// The voxels of the cached solution, shown directly.
+    Voxels,
     /// The cached solution, gathered as the settings say.
     Cached(Gatherer),
+}
+
+impl Technique {
+    /// It reads the cached solution.
+    pub fn is_cached(&self) -> bool {
+        !matches!(self, Self::PathTracing { .. } | Self::PhotonMap { .. })
+    }
+}
+
+/// A way to read the cached solution.
+#[derive(Clone, Copy)]
+enum Reading {
+    Voxels,
+    Samples(u32),
+    Gather(Gatherer),
 }
 
 /// The cached solution of all light groups together.
@@ -68,15 +102,46 @@ pub struct Cache {
     pub record: Option<Record>,
     /// The stages that made it.
     pub stages: Vec<Entry>,
+    /// What they took.
+    pub cost: Cost,
+}
+
+/// What some work took. Nothing is decided by it.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Cost {
+    /// By the wall clock.
+    pub seconds: f64,
+    /// Of all processors together.
+    pub cpu_seconds: f64,
+}
+
+impl Cost {
+    /// Does the work and says what it took.
+    pub fn of<T>(work: impl FnOnce() -> T) -> (T, Self) {
+        let (wall, cpu) = (Instant::now(), ProcessTime::now());
+        let done = work();
+        (done, Self { seconds: wall.elapsed().as_secs_f64(), cpu_seconds: cpu.elapsed().as_secs_f64() })
+    }
+}
+
+impl std::ops::Add for Cost {
+    type Output = Self;
+
+    fn add(self, other: Self) -> Self {
+        Self { seconds: self.seconds + other.seconds, cpu_seconds: self.cpu_seconds + other.cpu_seconds }
+    }
 }
 
 /// A scene in the laboratory.
+#[derive(Clone)]
 pub struct Lab<'a> {
     pub rays: &'a Rays<'a>,
     pub settings: &'a Settings,
+    /// What the tree of rays took.
+    pub rays_cost: Cost,
     store: Option<&'a Store>,
-    emitters: Emitters,
-    cache: OnceCell<Cache>,
+    emitters: Rc<Emitters>,
+    cache: Rc<OnceCell<Cache>>,
 }
 
 impl<'a> Lab<'a> {
@@ -93,9 +158,15 @@ impl<'a> Lab<'a> {
     ) -> Result<T, Error> {
         let geometry = Geometry::new(scene);
         progress.begin(Stage::Rays.name(), 0);
-        let rays = Rays::build(&geometry, progress)?;
-        let emitters = Emitters::new(&geometry);
-        work(&Lab { rays: &rays, settings, store, emitters, cache: OnceCell::new() })
+        let (rays, rays_cost) = Cost::of(|| Rays::build(&geometry, progress));
+        let rays = rays?;
+        let emitters = Rc::new(Emitters::new(&geometry));
+        work(&Lab { rays: &rays, settings, rays_cost, store, emitters, cache: Rc::default() })
+    }
+
+    /// The same scene and cached solution, gathered with other settings.
+    pub fn tuned<'b>(&'b self, settings: &'b Settings) -> Lab<'b> {
+        Lab { settings, ..self.clone() }
     }
 
     pub fn scene(&self) -> &'a Scene {
@@ -110,8 +181,22 @@ impl<'a> Lab<'a> {
         if let Some(cache) = self.cache.get() {
             return Ok(cache);
         }
-        let cache = solved(self.scene(), self.settings, self.store, progress)?;
+        let (cache, cost) = Cost::of(|| solved(self.scene(), self.settings, self.store, progress));
+        let cache = Cache { cost, ..cache? };
         Ok(self.cache.get_or_init(|| cache))
+    }
+
+    /// The fronts of an atlas's texels, at their own points.
+    pub fn receivers<'l>(&'l self, atlas: &'l Atlas) -> Side<'l> {
+        Side::front(self.rays.geometry, atlas)
+    }
+
+    /// Digest of everything that the light of this scene at the texels of its atlas follows from, but for how it is
+    /// computed.
+    pub fn identity(&self) -> Key {
+        let keys = Unit::of(self.scene(), self.settings).keys;
+        let digest = Digest::new("scene").bytes(&keys.layout);
+        keys.parts.values().fold(digest, |digest, part| digest.text(part)).done()
     }
 
     /// Makes a method ready and works with it. Receivers that lie side by side on surfaces share what stands between
@@ -126,26 +211,59 @@ impl<'a> Lab<'a> {
         progress: &dyn Progress,
         work: impl FnOnce(&dyn Method) -> Result<T, Error>,
     ) -> Result<T, Error> {
-        let gatherer = match technique {
+        match technique {
             Technique::PathTracing { paths } => {
                 let reference = Reference::new(self.rays, Options::default());
-                return work(&PathTracing::new(&reference, paths));
+                work(&PathTracing::new(&reference, paths))
             }
-            Technique::Cached(gatherer) => gatherer,
-        };
+            Technique::PhotonMap { photons } => {
+                let reflected = PhotonMap::build(self.rays, &self.emitters, self.photon_map(photons), progress)?;
+                self.straight(visibility, progress, |straight| {
+                    work(&Reconstruction { straight, reflected: &reflected })
+                })
+            }
+            Technique::SampleVoxels { passes } => self.of_cache(Reading::Samples(passes), visibility, progress, work),
+            Technique::Voxels => self.of_cache(Reading::Voxels, visibility, progress, work),
+            Technique::Cached(gatherer) => self.of_cache(Reading::Gather(gatherer), visibility, progress, work),
+        }
+    }
+
+    fn photon_map(&self, photons: u32) -> photon_map::Settings {
+        photon_map::Settings {
+            photons,
+            threshold: self.settings.cut_error.0,
+            limit: self.settings.cut_limit.0,
+            near_rays: self.settings.near_rays.0,
+            ..photon_map::Settings::default()
+        }
+    }
+
+    /// A method that reads the cached solution.
+    fn of_cache<T>(
+        &self,
+        reading: Reading,
+        visibility: Visibility,
+        progress: &dyn Progress,
+        work: impl FnOnce(&dyn Method) -> Result<T, Error>,
+    ) -> Result<T, Error> {
         let Cache { surfels, solution, .. } = self.cache(progress)?;
         let field = Field::build(self.rays, surfels, solution, progress)?;
-        self.straight(visibility, progress, |straight| match gatherer {
+        self.straight(visibility, progress, |straight| match reading {
+            Reading::Voxels => work(&Cached::new(&field)),
+            Reading::Samples(passes) => {
+                let samples = VoxelSamples::build(&field, passes, progress)?;
+                work(&RandomVoxels { straight, samples: &samples })
+            }
             // The cache itself holds the light of the sky.
-            Gatherer::Lookup => {
+            Reading::Gather(Gatherer::Lookup) => {
                 let straight = Straight { sky: None, ..straight };
                 work(&Reconstruction { straight, reflected: &Lookup::new(&field) })
             }
-            Gatherer::Final => {
+            Reading::Gather(Gatherer::Final) => {
                 let reflected = FinalGather::new(&field, self.settings.gather_rays.0);
                 work(&Reconstruction { straight, reflected: &reflected })
             }
-            Gatherer::Lightcuts => {
+            Reading::Gather(Gatherer::Lightcuts) => {
                 let reflected = Lightcuts::build(&field, texels::lightcut_settings(self.settings), progress)?;
                 work(&Reconstruction { straight, reflected: &reflected })
             }
@@ -221,16 +339,17 @@ fn solved(scene: &Scene, settings: &Settings, store: Option<&Store>, progress: &
             (surfels, Solution { direct: dark.clone(), indirect: dark })
         }
     };
-    Ok(Cache { surfels, solution, record: transport.facts.record, stages: journal.close() })
+    let record = transport.facts.record;
+    Ok(Cache { surfels, solution, record, stages: journal.close(), cost: Cost::default() })
 }
 
 /// A bake's light at texels, with its parts apart.
 pub struct Trial {
-    pub atlas: Arc<Atlas>,
     pub parts: Parts,
     pub facts: Facts,
     /// The stages that ran, with their times.
     pub stages: Vec<Entry>,
+    pub cost: Cost,
 }
 
 impl Trial {
@@ -276,6 +395,8 @@ pub fn attempt(
     let unit = Unit::of(scene, settings);
     let geometry = Geometry::new(&unit.scene);
     let mut journal = Journal::new(progress);
-    let (parts, facts) = parts(&unit.baking(settings, None), &Tracer::new(&geometry, None), atlas, &mut journal)?;
-    Ok(Trial { atlas: atlas.clone(), parts, facts, stages: journal.close() })
+    let tracer = Tracer::new(&geometry, None);
+    let (found, cost) = Cost::of(|| parts(&unit.baking(settings, None), &tracer, atlas, &mut journal));
+    let (parts, facts) = found?;
+    Ok(Trial { parts, facts, stages: journal.close(), cost })
 }

@@ -1,10 +1,10 @@
 //! The bake of one scene: the whole chain, stage by stage, from a file to files.
 
-mod artefact;
+pub(crate) mod artefact;
 mod atlas;
 mod baking;
 mod cause;
-mod digest;
+pub(crate) mod digest;
 mod direct;
 mod draft;
 mod export;

@@ -326,6 +326,7 @@ fn is_known_closed(rays: &Rays, surfels: &Surfels, settings: &Settings) -> bool 
 fn solve_settings(settings: &Settings) -> SolveSettings {
     SolveSettings {
         directions: settings.directions.0,
+        decay: settings.direction_decay.0,
         max_bounces: settings.bounces.0,
         tolerance: f64::from(settings.tolerance.0),
         set: match settings.direction_set {

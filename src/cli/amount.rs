@@ -31,6 +31,16 @@ pub fn time(text: &str) -> Result<Duration, String> {
     seconds.map(Duration::from_secs)
 }
 
+/// `2%`, `0.02`: a share that is above 0 and below 1.
+pub fn share(text: &str) -> Result<f64, String> {
+    let text = text.trim();
+    let number = match text.strip_suffix('%') {
+        Some(percent) => percent.trim_end().parse::<f64>().map(|x| x / 100.0),
+        None => text.parse::<f64>(),
+    };
+    number.ok().filter(|x| *x > 0.0 && *x < 1.0).ok_or_else(|| "expected a share such as 2% or 0.02".into())
+}
+
 /// A number with one of these units.
 fn amount(text: &str, units: &[(&str, u64)]) -> Option<u64> {
     let text = text.trim().to_ascii_lowercase();

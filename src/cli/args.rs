@@ -120,12 +120,15 @@ Methods:
   lightmap     the lightmap of a bake, which is made where the store does not have it
   lookup       the voxel solution, interpolated
   final        the voxel solution, by a final gather
+  samples      the voxel solution, by random sample voxels: the picture gets better pass by pass
+  voxels       the voxels of the solution, shown directly
+  photons      photon mapping, gathered by lightcuts
   paths        path tracing: the reference, without bias, with noise
 
 Every pixel has 4 samples, and all --aa N where what is displayed differs between its samples or from its neighbours, or
-where they show other surfaces. With --progressive or --time, a method that draws at random writes a first picture soon
-and again whenever it has drawn twice as much, until that is spent or the time is over; how far it comes in a given time
-depends on the machine, what it shows then does not.
+where they show other surfaces. The method samples, and with --progressive or --time the method paths, write a first picture
+soon and again whenever they have drawn twice as much, until that is spent or the time is over; how far they come in a
+given time depends on the machine, what they show then does not.
 
 Examples:
   luxel render level.glb                                        from its camera, by lightcuts
@@ -133,7 +136,7 @@ Examples:
   luxel render level.glb --eye 1,1.7,4 --target 0,1,0 --fov 60  from anywhere
   luxel render level.glb --method lightmap --to lit.png         what an engine shows with the lightmap
   luxel render level.glb --method paths --paths 1000 --time 60  the reference, as far as a minute takes it
-  luxel render level.glb --compare lightmap,lightcuts,paths     side by side, with differences to the last
+  luxel render level.glb --compare photons,lightcuts,paths      side by side, with differences to the last
   luxel render levels/ --out pictures/ --exposure 7             every scene below a folder, at one exposure
 
 --compare writes NAME.compare.png: every method's picture at one exposure, and below each its difference to the last one,
@@ -188,6 +191,35 @@ Events of --json, one object per line, with their fields; sizes in bytes, times 
 
 Exit codes: 0 done, 1 verify found something damaged, or a store could not be read or cleaned, 2 wrong usage.";
 
+const REPORTING: &str = "\
+Every point of a report is one way to find the scene's light: a bake with one setting changed, all of them refined
+together, or another method. Its light is compared with the reference path tracer at some hundred texels, drawn evenly by
+area. Written beside the scene, in report/, or to --out:
+
+  NAME.report.csv   every point: seconds, rays, RMSE, relMSE, bias, percentiles, direct and indirect apart
+  NAME.report.md    the same for people, with the laws by which errors fall, what limits the error, and Table 1
+  NAME.report.json  laws, advice, Table 1, for programs
+  NAME.front.svg    error against processor time of every method, with the Pareto front
+  NAME.sweeps.svg   error against each setting
+  NAME.maps.png     the atlas: baked, reference, difference
+
+What was measured is kept in a store beside them, the reference too: an interrupted report goes on where it stopped, and
+one with more sweeps measures only what is new. Atlases have 128 texels a side unless --size says otherwise.
+
+Examples:
+  luxel report level.glb                          everything, with the settings as they are
+  luxel report level.glb --sweep voxels,cut_error two settings alone
+  luxel report level.glb --sweep none             the methods of the paper's Figure 3, and all settings together
+  luxel report level.glb --target-error 2%        the settings for an error; luxel bake --target-error 2% uses them
+  luxel report level.glb --target-time 30s        the settings for a time on this machine
+
+Events of --json, one object per line, with their fields, besides those of stages (luxel bake --help):
+  point    scene, point                           one measurement
+  report   scene, findings                        laws, advice, Table 1, files
+  target   scene, rung, settings, flags, rmse, rmse_most, seconds, reached
+
+Exit codes: 0 done, 1 some scenes failed or their target is out of reach, 2 wrong usage, 130 interrupted.";
+
 /// Shortest and longest time between looks [s].
 const POLL: std::ops::RangeInclusive<f64> = 0.05..=86_400.0;
 
@@ -214,6 +246,9 @@ pub enum Task {
     /// Take pictures of scenes: by lightcuts, from their lightmaps, by the reference; or compare methods.
     #[command(after_help = RENDERING)]
     Render(Render),
+    /// Measure error against run time: tables, plots, what limits the error, and the settings for an error or a time.
+    #[command(after_help = REPORTING)]
+    Report(Report),
     /// Look after the stores that bakes keep for the next ones: how much they hold, whether it is sound, what may go.
     #[command(after_help = CACHING)]
     Cache(Cache),
@@ -321,10 +356,16 @@ pub struct Render {
     /// shows most; of a comparison, as the method shows most that others are compared to]
     #[arg(long, value_name = "EV", value_parser = exposure, allow_hyphen_values = true, help_heading = PICTURE)]
     pub exposure: Option<f64>,
-    /// Paths of every point of --method paths [default: 64; with --time, what it takes]
+    /// Paths of every point of --method paths [default: 64; with --time, as many as it takes]
     #[arg(long, value_name = "N", help_heading = PICTURE)]
     pub paths: Option<NonZeroU32>,
-    /// Write the picture as it gets better, of a method that draws at random
+    /// Passes of --method samples, of two sets of 64 voxels for every point [default: 8; with --time, as many as it takes]
+    #[arg(long, value_name = "N", help_heading = PICTURE)]
+    pub samples: Option<NonZeroU32>,
+    /// Photons of --method photons [default: 50000]
+    #[arg(long, value_name = "N", help_heading = PICTURE)]
+    pub photons: Option<NonZeroU32>,
+    /// Write the picture as it gets better, by the method paths; samples does so unasked
     #[arg(long, conflicts_with = "compare", help_heading = PICTURE)]
     pub progressive: bool,
     /// The same, for about so many seconds
@@ -379,6 +420,45 @@ fn png(text: &str) -> Result<PathBuf, String> {
     let path = PathBuf::from(text);
     let is_png = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("png")) && path.file_stem().is_some();
     if is_png { Ok(path) } else { Err("expected the name of a .png".into()) }
+}
+
+#[derive(Debug, Args)]
+pub struct Report {
+    #[command(flatten)]
+    pub bake: Bake,
+    /// Print the settings with which the RMSE is below this share of the mean irradiance, and do nothing else
+    #[arg(long, value_name = "SHARE", value_parser = amount::share)]
+    pub target_error: Option<f64>,
+    /// Print the best settings with which light takes at most so long on this machine, and do nothing else
+    #[arg(long, value_name = "TIME", value_parser = amount::time, conflicts_with = "target_error")]
+    pub target_time: Option<Duration>,
+    /// Texels at which errors are measured
+    #[arg(long, value_name = "N", default_value_t = 400, value_parser = clap::value_parser!(u32).range(10..=1_000_000))]
+    pub texels: u32,
+    /// The reference walks until its noise is below this share of the mean irradiance, at most --paths a texel
+    #[arg(long, value_name = "SHARE", default_value = "0.3%", value_parser = amount::share)]
+    pub noise: f64,
+    /// Most paths a texel of the reference
+    #[arg(long, value_name = "N", default_value_t = 65_536, value_parser = clap::value_parser!(u32).range(1024..=16_777_216))]
+    pub paths: u32,
+    /// Settings to sweep, separated by commas, or none [default: all of them]
+    #[arg(long, value_name = "SETTING,..", value_delimiter = ',')]
+    pub sweep: Option<Vec<String>>,
+    /// Leave out the other methods: path tracing, photon map, sample voxels, voxels alone
+    #[arg(long)]
+    pub no_methods: bool,
+    /// Leave out the row in which all settings grow together
+    #[arg(long)]
+    pub no_together: bool,
+    /// Leave out the paper's Table 1
+    #[arg(long)]
+    pub no_table: bool,
+    /// Leave out the error maps
+    #[arg(long)]
+    pub no_maps: bool,
+    /// Measure anew what an earlier report measured
+    #[arg(long)]
+    pub fresh: bool,
 }
 
 #[derive(Debug, Args)]

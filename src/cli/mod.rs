@@ -8,6 +8,7 @@ mod fleet;
 mod print;
 mod progress;
 mod render;
+mod report;
 mod watch;
 
 use std::collections::BTreeMap;
@@ -27,7 +28,7 @@ use luxel::text::shown;
 use luxel_export::{ExportError, OutputSet};
 use serde_json::json;
 
-use args::{Bake, Baking, Cli, Common, Export, Render, Task, Watch};
+use args::{Bake, Baking, Cli, Common, Export, Render, Report, Task, Watch};
 use progress::{Reporter, Screen, Style, event, say};
 
 const DONE: u8 = 0;
@@ -54,6 +55,7 @@ pub fn main() -> ExitCode {
         | Task::Plan(args)
         | Task::Watch(Watch { bake: args, .. })
         | Task::Export(Export { bake: args, .. })
+        | Task::Report(Report { bake: args, .. })
         | Task::Render(Render { bake: args, .. }) => args.common.json,
         Task::Cache(args) => args.places().json,
         Task::Defaults | Task::UnwrapWorker => false,
@@ -63,6 +65,7 @@ pub fn main() -> ExitCode {
         Task::Plan(args) => plan(&args),
         Task::Watch(args) => watch::watch(&args),
         Task::Export(args) => export::export(&args),
+        Task::Report(args) => report::report(&args),
         Task::Render(args) => render::render(&args),
         Task::Cache(args) => cache::cache(&args),
         Task::Defaults => {

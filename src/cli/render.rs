@@ -82,7 +82,7 @@ fn wanted(args: &Render) -> anyhow::Result<Wanted> {
         let by = if args.time.is_some() { "--time" } else { "--progressive" };
         let wanted = args.progressive || args.time.is_some();
         let name = chosen.entry.name;
-        ensure!(!wanted || chosen.improves(), "{by} is for methods that draw at random, which {name} does not");
+        ensure!(!wanted || chosen.first_pass().is_some(), "{by} is for the methods paths and samples, not for {name}");
         return Ok(Wanted::One(chosen));
     }
     let mut entries = args.compare.clone();
@@ -102,10 +102,12 @@ fn draws(args: &Render, entry: &Entry) -> u32 {
     let Some(draws) = entry.draws else { return 0 };
     let said = match draws.name {
         "paths" => args.paths,
+        "passes" => args.samples,
+        "photons" => args.photons,
         _ => None,
     };
     // Where time is what bounds it, nothing else does.
-    let usual = if args.time.is_some() { u32::MAX } else { draws.usual };
+    let usual = if args.time.is_some() && draws.first.is_some() { u32::MAX } else { draws.usual };
     said.map_or(usual, |n| n.get())
 }
 
@@ -139,11 +141,10 @@ impl Scene<'_> {
     fn one(&self, chosen: Chosen) -> Result<(), Error> {
         let start = Instant::now();
         let always = chosen.entry.draws.is_some_and(|d| d.is_progressive);
-        let (picture, draws) = if always || self.args.progressive || self.args.time.is_some() {
-            self.progressive(chosen, start)?
-        } else {
-            let picture = self.studio.picture(chosen.way(chosen.draws), 0, self.reporter)?;
-            (picture, chosen.draws)
+        let wanted = always || self.args.progressive || self.args.time.is_some();
+        let (picture, draws) = match chosen.first_pass().filter(|_| wanted) {
+            Some(first) => self.progressive(chosen, first, start)?,
+            None => (self.studio.picture(chosen.way(chosen.draws), 0, self.reporter)?, chosen.draws),
         };
         let ev = self.write(&picture)?;
         self.reporter.finish();
@@ -153,11 +154,11 @@ impl Scene<'_> {
 
     /// Passes, each written, until what may be drawn is spent or the time is over. Returns the sum of all and how often
     /// it has drawn.
-    fn progressive(&self, chosen: Chosen, start: Instant) -> Result<(Picture, u32), Error> {
+    fn progressive(&self, chosen: Chosen, first: u32, start: Instant) -> Result<(Picture, u32), Error> {
         let mut sum: Option<(Picture, u32)> = None;
         // How long the last pass took. The first one also makes what all of them need, so the time is rather kept.
         let mut last = None;
-        for (pass, draws) in (0..).zip(passes(chosen.draws)) {
+        for (pass, draws) in (0..).zip(passes(first, chosen.draws)) {
             let spent = sum.as_ref().map_or(0, |(_, spent)| *spent);
             let Some(draws) = self.affordable(draws, start, last) else { break };
             let own = Instant::now();
@@ -330,7 +331,7 @@ fn figures(chosen: &Chosen, picture: &Picture, seconds: f64) -> Value {
     let spent = picture.spent;
     json!({
         "method": chosen.entry.name,
-        "draws": chosen.improves().then_some(chosen.draws),
+        "draws": chosen.entry.draws.map(|_| chosen.draws),
         "seconds": seconds,
         "samples": spent.samples,
         "points": spent.points,

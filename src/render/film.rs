@@ -239,7 +239,8 @@ impl Film<'_> {
         let (right, below) = (Some(x + 1), Some(y + 1));
         let (x_, y_) = (Some(x), Some(y));
         let beside = [open.at(left, y_), open.at(right, y_), open.at(x_, above), open.at(x_, below)];
-        let want = want(own, beside.into_iter().flatten(), self.tone);
+        let beside: Vec<&Pixel> = beside.into_iter().flatten().collect();
+        let want = want(own, &beside, self.tone);
         if want == Want::Nothing {
             return None;
         }
@@ -250,7 +251,7 @@ impl Film<'_> {
             pixel.part();
         } else if !self.light.is_cheap() {
             for shown in &mut pixel.shown[known..] {
-                let around = beside.into_iter().flatten().flat_map(|n| &n.shown);
+                let around = beside.iter().flat_map(|n| &n.shown);
                 let same = own.shown.iter().chain(around).find(|s| s.source == Source::Known && s.continues(shown));
                 if let (Source::Own, Some(same)) = (shown.source, same) {
                     (shown.lit, shown.source) = (Lit { rays: 0, ..same.lit }, Source::Known);

@@ -15,7 +15,7 @@ pub enum Way {
 impl Way {
     /// The cached voxel solution is what it starts from, so that methods that are compared share it.
     pub fn rests_on_solution(&self) -> bool {
-        matches!(self, Self::Found(Technique::Cached(_)))
+        matches!(self, Self::Found(technique) if technique.is_cached())
     }
 }
 
@@ -38,12 +38,18 @@ pub struct Draws {
     pub name: &'static str,
     /// How many there are unless somebody says it.
     pub usual: u32,
+    /// How many the first of several passes has; none for a method that has to draw all at once.
+    pub first: Option<u32>,
     /// Pictures are shown as they get better without being asked for.
     pub is_progressive: bool,
 }
 
-/// Paths of a pixel's point.
-const PATHS: Draws = Draws { name: "paths", usual: 64, is_progressive: false };
+/// Walks from every point.
+const PATHS: Draws = Draws { name: "paths", usual: 64, first: Some(4), is_progressive: false };
+/// Of two sets of sample voxels for every point.
+const PASSES: Draws = Draws { name: "passes", usual: 8, first: Some(1), is_progressive: true };
+/// For the whole scene.
+const PHOTONS: Draws = Draws { name: "photons", usual: 50_000, first: None, is_progressive: false };
 
 /// All of them; the first is the default.
 pub static METHODS: &[Entry] = &[
@@ -67,6 +73,24 @@ pub static METHODS: &[Entry] = &[
         make: |_| Way::Found(Technique::Cached(Gatherer::Final)),
     },
     Entry {
+        name: "samples",
+        title: "voxel solution, random sample voxels",
+        draws: Some(PASSES),
+        make: |passes| Way::Found(Technique::SampleVoxels { passes }),
+    },
+    Entry {
+        name: "voxels",
+        title: "voxel solution, shown directly",
+        draws: None,
+        make: |_| Way::Found(Technique::Voxels),
+    },
+    Entry {
+        name: "photons",
+        title: "photon mapping with lightcuts",
+        draws: Some(PHOTONS),
+        make: |photons| Way::Found(Technique::PhotonMap { photons }),
+    },
+    Entry {
         name: "paths",
         title: "path tracing, the reference",
         draws: Some(PATHS),
@@ -88,14 +112,15 @@ impl Chosen {
         (self.entry.make)(draws)
     }
 
-    /// It can be shown as it gets better.
-    pub fn improves(&self) -> bool {
-        self.entry.draws.is_some()
+    /// Draws of its first pass, where it can be shown as it gets better.
+    pub fn first_pass(&self) -> Option<u32> {
+        self.entry.draws?.first
     }
 
     /// As in a label: its name, and how many draws it may have.
     pub fn label(&self) -> String {
         match self.entry.draws {
+            Some(draws) if draws.name == self.entry.name => format!("{} {}", self.draws, draws.name),
             Some(draws) => format!("{}, {} {}", self.entry.name, self.draws, draws.name),
             None => self.entry.name.into(),
         }
@@ -115,12 +140,10 @@ pub fn named(name: &str) -> Result<&'static Entry, String> {
 
 /// Draws of the passes that end with `total`: each doubles what there is, so that a first picture comes soon and every
 /// further one has less noise.
-pub fn passes(total: u32) -> impl Iterator<Item = u32> {
-    /// Of the first pass.
-    const FIRST: u32 = 4;
+pub fn passes(first: u32, total: u32) -> impl Iterator<Item = u32> {
     let mut spent = 0;
     std::iter::from_fn(move || {
-        let next = if spent == 0 { FIRST } else { spent }.min(total - spent);
+        let next = if spent == 0 { first } else { spent }.min(total - spent);
         spent += next;
         (next > 0).then_some(next)
     })
@@ -142,9 +165,9 @@ mod tests {
 
     #[test]
     fn every_pass_doubles_and_the_last_spends_the_rest() {
-        assert_eq!(passes(100).collect::<Vec<_>>(), [4, 4, 8, 16, 32, 36]);
-        assert_eq!(passes(3).collect::<Vec<_>>(), [3]);
-        assert_eq!(passes(0).count(), 0);
-        assert_eq!(passes(u32::MAX).map(u64::from).sum::<u64>(), u64::from(u32::MAX));
+        assert_eq!(passes(4, 100).collect::<Vec<_>>(), [4, 4, 8, 16, 32, 36]);
+        assert_eq!(passes(4, 3).collect::<Vec<_>>(), [3]);
+        assert_eq!(passes(4, 0).count(), 0);
+        assert_eq!(passes(1, u32::MAX).map(u64::from).sum::<u64>(), u64::from(u32::MAX));
     }
 }

@@ -168,8 +168,10 @@ settings! {
     "Transport" {
         /// Size of the voxels through which light bounces. Smaller is finer, slower and takes more memory.
         ["voxel size"] voxels: Voxels = Voxels::Budget(100_000);
-        /// Directions of the first bounce; every further one has half as many, down to 16.
+        /// Directions of the first bounce; every further one has fewer, down to 16.
         ["count"] directions: Samples = Samples(512);
+        /// How many times fewer directions every bounce has than the one before it; 1 keeps their number.
+        ["factor"] direction_decay: Decay = Decay(2.0);
         /// Bounces at most. From the second on, the rest of the geometric series is added to the last one.
         ["count"] bounces: Samples = Samples(64);
         /// Bouncing stops when the light still to come is a smaller share of all light than this.

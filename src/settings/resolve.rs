@@ -21,6 +21,8 @@ pub enum Origin {
     /// The extras of the scene file.
     Extras(PathBuf),
     CommandLine,
+    /// A search for the settings that keep an error, which is written here.
+    Target(String),
     /// The program that embeds luxel.
     Caller,
 }
@@ -33,6 +35,7 @@ impl fmt::Display for Origin {
             Self::File(path) => write!(f, "{}", path.display()),
             Self::Extras(path) => write!(f, "extras of {}", path.display()),
             Self::CommandLine => f.write_str("command line"),
+            Self::Target(error) => write!(f, "target error {error}"),
             Self::Caller => f.write_str("caller"),
         }
     }
@@ -263,6 +266,15 @@ impl Default for Resolved {
 }
 
 impl Resolved {
+    /// The same with other values, of which each that differs comes from `origin`.
+    pub fn changed(self, settings: Settings, origin: &Origin) -> Self {
+        let origins = FIELDS.iter().zip(self.origins);
+        let of = |(field, old): (&Field, Origin)| {
+            if (field.get)(&settings) == (field.get)(&self.settings) { old } else { origin.clone() }
+        };
+        Self { origins: origins.map(of).collect(), settings }
+    }
+
     /// Name, written value and origin of every setting.
     pub fn list(&self) -> impl Iterator<Item = (&'static Field, String, &Origin)> {
         FIELDS.iter().zip(&self.origins).map(|(f, origin)| (f, (f.get)(&self.settings), origin))

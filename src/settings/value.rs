@@ -49,6 +49,7 @@ number!(Spacing, u32, 1, 64, "a whole number of texels from 1 to 64");
 number!(Threads, u32, 0, 1024, "a whole number from 0 to 1024");
 number!(Samples, u32, 1, 65536, "a whole number from 1 to 65536");
 number!(Factor, f32, 0.0, 1e30, "a number from 0 upwards");
+number!(Decay, f32, 1.0, 1024.0, "a number from 1 to 1024");
 number!(Share, f32, 0.0, 1.0, "a number from 0 to 1");
 number!(Tolerance, f32, 1e-7, 0.5, "a number from 1e-7 to 0.5");
 number!(Diameter, f32, 0.0, 180.0, "an angle from 0 to 180 degrees");

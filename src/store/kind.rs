@@ -1,4 +1,4 @@
-//! What is stored: one kind of artefact per stage whose result outlives its bake.
+//! What is stored: one kind of artefact per stage whose result outlives its bake, and what `luxel report` found out.
 
 use super::Format;
 
@@ -28,10 +28,17 @@ pub enum Kind {
     Gather,
     /// Finished images.
     Finish,
+    /// Irradiance at some texels by the reference path tracer, of a report.
+    Reference,
+    /// What one bake or method cost and how exact it was, of a report.
+    Measurement,
+    /// The settings that were found for an error.
+    Choice,
 }
 
 impl Kind {
-    pub const ALL: [Self; 10] = [
+    /// What bakes make.
+    pub const BAKED: [Self; 10] = [
         Self::Unwrap,
         Self::Layout,
         Self::Surfels,
@@ -43,6 +50,17 @@ impl Kind {
         Self::Gather,
         Self::Finish,
     ];
+
+    pub const ALL: [Self; 13] = {
+        let mut all = [Self::Choice; 13];
+        let mut i = 0;
+        while i < Self::BAKED.len() {
+            all[i] = Self::BAKED[i];
+            i += 1;
+        }
+        (all[10], all[11]) = (Self::Reference, Self::Measurement);
+        all
+    };
 
     /// The name of its folder.
     pub fn name(self) -> &'static str {
@@ -57,6 +75,9 @@ impl Kind {
             Self::Sky => "sky",
             Self::Gather => "gather",
             Self::Finish => "finish",
+            Self::Reference => "reference",
+            Self::Measurement => "measurement",
+            Self::Choice => "choice",
         }
     }
 
@@ -73,6 +94,9 @@ impl Kind {
             Self::Sky => (b"Sky", 1),
             Self::Gather => (b"Gth", 1),
             Self::Finish => (b"Fin", 1),
+            Self::Reference => (b"Ref", 1),
+            Self::Measurement => (b"Mea", 1),
+            Self::Choice => (b"Cho", 1),
         };
         let mut magic = *b"luxel\0\0\0";
         magic[5..].copy_from_slice(letters);

@@ -370,6 +370,7 @@ pub const SETTINGS: [(&str, &[&str]); 36] = [
     ("voxels", &["300", "\"side:8\"", "\"edge:0.4\""]),
     ("directions", &["16", "32"]),
     ("bounces", &["64", "2"]),
+    ("direction_decay", &["2", "1.5", "4"]),
     ("tolerance", &["0.003", "0.1"]),
     ("refresh", &["0", "8"]),
     ("closed", &["\"auto\"", "\"no\"", "\"yes\""]),

@@ -42,7 +42,7 @@ impl Stored {
         let place = Place::new();
         let baked = place.bake(&level());
         let store = place.at("baked/.luxel");
-        let smallest: Vec<(Kind, PathBuf)> = Kind::ALL
+        let smallest: Vec<(Kind, PathBuf)> = Kind::BAKED
             .into_iter()
             .map(|kind| {
                 let files = artefacts(&store.join(kind.name()));
@@ -91,7 +91,7 @@ fn every_kind_of_artefact_is_used_when_it_is_sound() {
         assert!(baked.files == stored.baked.files, "{kind:?}");
         assert_eq!(baked.warnings("store"), [""; 0], "{kind:?}");
     }
-    assert_eq!(stored.smallest.len(), Kind::ALL.len());
+    assert_eq!(stored.smallest.len(), Kind::BAKED.len());
 }
 
 #[test]
@@ -177,7 +177,7 @@ fn what_was_spoilt_is_mended() {
     let first = place.bake(&level());
     let store = place.at("baked/.luxel");
     let mut spoilt = 0;
-    for kind in Kind::ALL {
+    for kind in Kind::BAKED {
         for path in artefacts(&store.join(kind.name())) {
             fs::write(path, "damage").unwrap();
             spoilt += 1;
@@ -219,7 +219,7 @@ fn a_store_that_may_only_be_read_is_read_and_nothing_else() {
     let target = || Target::at(place.at("lit")).with_store(place.at("store"));
     let first = run(&scene, &target());
     let folders: Vec<PathBuf> =
-        Kind::ALL.iter().map(|k| place.at("store").join(k.name())).chain([place.at("store")]).collect();
+        Kind::BAKED.iter().map(|k| place.at("store").join(k.name())).chain([place.at("store")]).collect();
     let set = |mode: u32| {
         folders.iter().for_each(|folder| fs::set_permissions(folder, fs::Permissions::from_mode(mode)).unwrap())
     };

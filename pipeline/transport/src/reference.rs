@@ -23,7 +23,7 @@ mod emitters;
 mod lamps;
 mod noise;
 mod path;
-mod sky;
+pub(crate) mod sky;
 
 use glam::DVec3;
 use luxel_scene::{Cancelled, Progress};

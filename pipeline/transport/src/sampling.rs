@@ -76,6 +76,13 @@ pub fn triangle(p: Vec2) -> (f32, f32) {
     (s * (1.0 - p.y), s * p.y)
 }
 
+/// A number in [0, 1] with density linear from `a` at 0 to `b` at 1, not both 0.
+pub fn linear(a: f32, b: f32, p: f32) -> f32 {
+    let root = (a * a + p * (b * b - a * a)).max(0.0).sqrt();
+    let t = p * (a + b) / (a + root);
+    if t.is_finite() { t.clamp(0.0, 1.0) } else { p }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -4,22 +4,16 @@
 //! B(x) = ρ(x)·E(s(x))     ρ exact at the hit, E = direct + indirect irradiance of the surfel s there [lux]
 //! ```
 
-use glam::{Vec2, Vec3, Vec4};
-use luxel_scene::{Cancelled, Material, Progress, Scene, Silent, Surface, watched};
+use glam::Vec3;
+use luxel_scene::{Cancelled, Progress, Silent, watched};
 
-use super::surfel_index::SurfelIndex;
+pub use super::surfaces::Encounter;
+use super::{surfaces::Surfaces, surfel_index::SurfelIndex};
 use crate::{
     Rgb,
-    geometry::{Geometry, Triangle},
-    rays::{Hit, OFFSET, Rays},
+    rays::Rays,
     surfel::{Solution, Surfels},
 };
-
-/// Most veils that one ray goes through; behind them nothing is seen.
-const MAX_VEILS: u32 = 64;
-
-/// A share of light below this is not followed further.
-const FAINT: f32 = 1e-4;
 
 /// Surfels and solution that do not belong together or to the scene.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -36,31 +30,13 @@ pub enum FieldError {
     Cancelled(#[from] Cancelled),
 }
 
-/// A surface that a ray met on its way.
-pub struct Encounter {
-    /// Along the ray, frame units.
-    pub distance: f32,
-    /// Cosine between the ray and the surface's normal, on the side that was met.
-    pub cosine: f32,
-    /// Share of the light leaving this surface that reaches the ray's origin: its coverage, and what the veils in
-    /// front of it let through.
-    pub share: Rgb,
-    /// Reflected radiosity B of the covered part [lux].
-    pub radiosity: Rgb,
-    /// Emitted radiosity πLₑ of the covered part [lux].
-    pub emission: Rgb,
-    /// There is a surfel here.
-    pub known: bool,
-}
-
 /// Rays, surfels and the irradiance at them: all that a gather reads.
 pub struct Field<'a> {
     pub rays: &'a Rays<'a>,
     pub surfels: &'a Surfels,
     pub solution: &'a Solution,
     pub index: SurfelIndex<'a>,
-    /// For each material what it is everywhere, where that does not depend on the point.
-    uniform: Vec<Option<Surface>>,
+    surfaces: Surfaces<'a>,
 }
 
 impl<'a> Field<'a> {
@@ -77,68 +53,16 @@ impl<'a> Field<'a> {
         progress: &dyn Progress,
     ) -> Result<Self, FieldError> {
         check(rays, surfels, solution, progress)?;
-        let uniform = uniform_materials(rays.geometry.scene);
-        Ok(Self { rays, surfels, solution, index: SurfelIndex::build(surfels, progress)?, uniform })
+        let index = SurfelIndex::build(surfels, progress)?;
+        Ok(Self { rays, surfels, solution, index, surfaces: Surfaces::new(rays) })
     }
 
     /// Follows a ray from `origin` along `direction` (unit) through all veils, and shows every surface on its way.
     /// Returns the share of light that comes in from beyond all surfaces, and the rays spent.
     #[inline]
-    pub fn walk(&self, origin: Vec3, direction: Vec3, mut visit: impl FnMut(&Encounter)) -> (Rgb, u32) {
-        let (mut from, mut passed, mut pass) = (origin, 0.0, Rgb::ONE);
-        let mut last = u32::MAX;
-        for rays in 1..=MAX_VEILS {
-            let Some(hit) = self.rays.closest(from, direction, f32::INFINITY) else { return (pass, rays) };
-            // A straight line meets a triangle once: a second time, at a grazing angle, is rounding.
-            if hit.triangle != last {
-                let (encounter, transmittance) = self.meet(&hit, passed + hit.distance, direction, pass);
-                visit(&encounter);
-                pass *= transmittance;
-                if pass.max_element() <= FAINT {
-                    return (Rgb::ZERO, rays);
-                }
-            }
-            last = hit.triangle;
-            passed += hit.distance + OFFSET;
-            from = origin + direction * passed;
-        }
-        (Rgb::ZERO, MAX_VEILS)
-    }
-
-    fn meet(&self, hit: &Hit, distance: f32, direction: Vec3, pass: Rgb) -> (Encounter, Rgb) {
-        let geometry = self.rays.geometry;
-        let triangle = &geometry.triangles[hit.triangle as usize];
-        let normal = if hit.back { -triangle.normal } else { triangle.normal };
-        let material = geometry.material(hit.triangle);
-        let surfel = self.index.find(triangle.at(hit.u, hit.v), normal);
-        let cosine = normal.dot(direction).abs();
-        let shines = !hit.back || material.double_sided;
-        if !shines && material.is_opaque() {
-            let dark = Encounter {
-                distance,
-                cosine,
-                share: pass,
-                radiosity: Rgb::ZERO,
-                emission: Rgb::ZERO,
-                known: surfel.is_some(),
-            };
-            return (dark, Rgb::ZERO);
-        }
-        let surface = match &self.uniform[material_index(geometry, triangle)] {
-            Some(surface) => *surface,
-            None => geometry.surface(hit.triangle, hit.u, hit.v, 0.0),
-        };
-        let irradiance = surfel.map_or(Rgb::ZERO, |s| self.solution.total(s));
-        let lit = if shines { 1.0 } else { 0.0 };
-        let encounter = Encounter {
-            distance,
-            cosine,
-            share: pass * surface.coverage,
-            radiosity: surface.albedo * irradiance * lit,
-            emission: surface.emission * (std::f32::consts::PI * lit),
-            known: surfel.is_some(),
-        };
-        (encounter, surface.transmittance)
+    pub fn walk(&self, origin: Vec3, direction: Vec3, visit: impl FnMut(&Encounter)) -> (Rgb, u32) {
+        let irradiance = |point, normal| self.index.find(point, normal).map(|surfel| self.solution.total(surfel));
+        self.surfaces.walk(origin, direction, irradiance, visit)
     }
 
     /// Radiosity that a ray brings from all surfaces on its way [lux], the share that comes from beyond, rays spent.
@@ -147,25 +71,6 @@ impl<'a> Field<'a> {
         let (beyond, rays) = self.walk(origin, direction, |e| sum += e.share * e.radiosity);
         (sum, beyond, rays)
     }
-}
-
-fn material_index(geometry: &Geometry, triangle: &Triangle) -> usize {
-    let scene = geometry.scene;
-    scene.meshes[scene.instances[triangle.instance as usize].mesh].material
-}
-
-/// The surfaces of all materials without textures, on meshes without vertex colours.
-fn uniform_materials(scene: &Scene) -> Vec<Option<Surface>> {
-    let plain = |m: &Material| {
-        let textures =
-            [&m.base_color_texture, &m.metallic_roughness_texture, &m.emissive_texture, &m.transmission_texture];
-        textures.iter().all(|t| t.is_none()).then(|| m.surface(&[], &|_| Vec2::ZERO, Vec4::ONE, 0.0))
-    };
-    let mut uniform: Vec<Option<Surface>> = scene.materials.iter().map(plain).collect();
-    for mesh in scene.meshes.iter().filter(|m| !m.colors.is_empty()) {
-        uniform[mesh.material] = None;
-    }
-    uniform
 }
 
 fn check(rays: &Rays, surfels: &Surfels, solution: &Solution, progress: &dyn Progress) -> Result<(), FieldError> {

@@ -4,30 +4,39 @@
 //! |---|---|---|---|
 //! | lightcuts | [`lightcuts`] | clusters of surfels with shadow rays, near field by rays | stated bound |
 //! | final gather | [`final_gather`] | cosine rays that look up the cache where they hit | noise, falls with rays |
+//! | photon map | [`photon_map`] | clusters of photons with shadow rays, near field by rays | noise, falls with photons |
+//! | random sample voxels | [`voxel_samples`] | surfels drawn by area and solid angle, near field by rays | noise, estimated |
 //! | look-up | [`lookup`] | the cache itself, interpolated | that of the voxels |
 //!
-//! All read one [`field::Field`]: rays, surfels and the irradiance at them. [`refresh`] feeds a final gather at the
+//! All but the photon map read one [`field::Field`]: rays, surfels and the irradiance at them. [`refresh`] feeds a final gather at the
 //! surfels back into the cache; [`nodes`] evaluate any mode at few texels and interpolate between them.
 //!
-//! Indirect light here is what surfaces reflect. Lightcuts and final gather leave out the sky as seen from the receiver
+//! Indirect light here is what surfaces reflect. All but the look-up leave out the sky as seen from the receiver
 //! itself (a ray that escapes brings nothing); the look-up reads a cache that already contains it.
 
+mod cut;
 pub mod field;
 pub mod final_gather;
 mod hemisphere;
 pub mod lightcuts;
 pub mod lookup;
+mod near;
 pub mod nodes;
+pub mod photon_map;
 pub mod refresh;
 mod run;
 mod smooth;
+mod surfaces;
 pub mod surfel_index;
+pub mod voxel_samples;
 
 pub use field::{Field, FieldError};
 pub use final_gather::FinalGather;
 pub use lightcuts::Lightcuts;
 pub use lookup::Lookup;
+pub use photon_map::PhotonMap;
 pub use refresh::refresh;
+pub use voxel_samples::VoxelSamples;
 
 use glam::Vec3;
 use luxel_scene::{Cancelled, Progress};

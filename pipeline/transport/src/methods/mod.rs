@@ -3,15 +3,25 @@
 //! | method | module | light that surfaces reflect | its own error estimate |
 //! |---|---|---|---|
 //! | path tracing | [`path_tracing`] | walks from the receiver ([`crate::reference`]) | standard error |
+//! | random sample voxels | [`random_voxels`] | two sets of surfels, drawn by chance (paper §4.1) | their difference |
+//! | cached voxels | [`cached`] | the surfel of the receiver itself, nothing else | none |
 //! | reconstruction | [`reconstruction`] | any [`Gather`](crate::gather::Gather) | none |
+//!
+//! Reconstruction stands for photon mapping ([`crate::gather::PhotonMap`]), for the voxel solution with lightcuts
+//! ([`crate::gather::Lightcuts`]), and for the final gather. A [`crate::gather::Lookup`] already contains the sky: it goes
+//! with a [`Straight`] that has none.
 //!
 //! All find the same two parts of the irradiance, as the reference defines them: *direct* light comes straight from
 //! lamps, suns and emitters, *indirect* light has been reflected at least once, or comes from the sky.
 
+pub mod cached;
 pub mod path_tracing;
+pub mod random_voxels;
 pub mod reconstruction;
 
+pub use cached::Cached;
 pub use path_tracing::PathTracing;
+pub use random_voxels::RandomVoxels;
 pub use reconstruction::{Reconstruction, Straight};
 
 use luxel_scene::{Cancelled, Progress};
@@ -45,3 +55,6 @@ pub trait Method: Sync {
     /// has begun.
     fn light(&self, receivers: &[Receiver], progress: &dyn Progress) -> Result<Vec<Light>, Cancelled>;
 }
+
+#[cfg(test)]
+mod tests;

@@ -10,7 +10,7 @@ use std::f64::consts::{PI, TAU};
 
 use super::noise::{pick, weight};
 
-pub(super) struct SkyMap {
+pub(crate) struct SkyMap {
     image: SkyImage,
     /// Running sums of the weights of the rows.
     rows: Vec<f64>,

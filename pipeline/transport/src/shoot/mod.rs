@@ -4,6 +4,8 @@
 //! triangle of every surfel; [`photons`] is the paper's own way (Piwowar & Malgouyres 2009, §3), photons by ray
 //! tracing that stop at the first surface, and converges to it with the square root of their number.
 
+pub(crate) mod dome;
+pub(crate) mod emission;
 pub mod exact;
 pub mod photons;
 

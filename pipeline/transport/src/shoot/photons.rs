@@ -1,22 +1,20 @@
 //! Photons from the lights by ray tracing, first hits only (Piwowar & Malgouyres 2009, §3).
 //!
-//! Primary samples are dealt to the lights in proportion to their power; each sends n photons of equal energy Φ/(Nn)
-//! into a cosine distribution (surfaces), its cone or sphere (lamps), or along its direction (suns, from a disc over
-//! the whole scene). A photon that arrives on a surfel of area A adds Φᵢ/A to its irradiance. Points and directions
-//! are lattices seeded by the light's identity; sums are in f64 and in a fixed order.
+//! Photons start as [`super::emission`] says, some from each of the primary samples on the lights. One that arrives on a
+//! surfel of area A adds Φᵢ/A to its irradiance. Sums are in f64 and in a fixed order.
 
-use std::f64::consts::PI;
-
-use glam::{DVec3, IVec3, Vec2, Vec3};
+use glam::{DVec3, IVec3, Vec3};
 use luxel_scene::{Cancelled, Progress};
 use rayon::prelude::*;
 
-use super::{Flux, Shot};
+use super::{
+    Flux, Shot,
+    emission::{Photon, beams},
+};
 use crate::{
     Rgb,
-    lights::{AreaLight, Emitters, Lamp, SunLight},
+    lights::Emitters,
     rays::{Hit, OFFSET, Rays},
-    sampling::{basis, cap, combine, cosine_hemisphere, mix, r2, sphere, unit2},
     surfel::Surfels,
 };
 
@@ -48,7 +46,7 @@ pub fn photons(
     settings: PhotonSettings,
     progress: &dyn Progress,
 ) -> Result<Shot, Cancelled> {
-    let beams = beams(rays, emitters, settings);
+    let beams = beams(rays.geometry, emitters, None, settings.primary);
     let mut jobs = Vec::new();
     for (i, beam) in beams.iter().enumerate() {
         jobs.extend((0..beam.primary).step_by(CHUNK as usize).map(|first| (i, first)));
@@ -64,7 +62,9 @@ pub fn photons(
                 let beam = &beams[i];
                 let mut tracer = Tracer { rays, surfels, deposits: Vec::new(), flux: Flux::default(), traced: 0 };
                 for k in first..(first + CHUNK).min(beam.primary) {
-                    beam.shoot(k, settings.directions, &mut tracer);
+                    for i in 0..settings.directions {
+                        tracer.trace(&beam.photon(k, i, settings.directions));
+                    }
                 }
                 (tracer.deposits, tracer.flux, tracer.traced)
             })
@@ -88,107 +88,6 @@ pub fn photons(
     Ok(shot)
 }
 
-/// One side of a light with its share of the primary samples.
-struct Beam<'a> {
-    light: Light<'a>,
-    seed: u64,
-    primary: u32,
-}
-
-enum Light<'a> {
-    /// With the normal of the side that shines.
-    Area(&'a AreaLight, Vec3),
-    Lamp(&'a Lamp),
-    /// With the centre and radius of the scene's bounding sphere.
-    Sun(&'a SunLight, Vec3, f32),
-}
-
-/// Deals the primary samples to all lights by their power.
-fn beams<'a>(rays: &Rays, emitters: &'a Emitters, settings: PhotonSettings) -> Vec<Beam<'a>> {
-    let corners = rays.geometry.triangles.iter().flat_map(|t| t.corners);
-    let (lo, hi) = corners.fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(lo, hi), p| (lo.min(p), hi.max(p)));
-    let (center, radius) =
-        if lo.is_finite() { (0.5 * (lo + hi), 0.5 * (hi - lo).length() + 1.0) } else { (Vec3::ZERO, 1.0) };
-    let mut beams = Vec::new();
-    for l in &emitters.areas {
-        for normal in [l.normal, -l.normal].into_iter().take(if l.two_sided { 2 } else { 1 }) {
-            let sides = if l.two_sided { 0.5 } else { 1.0 };
-            let seed = combine(l.identity, u64::from(normal != l.normal));
-            beams.push((Light::Area(l, normal), seed, l.power(1.0).element_sum() * sides));
-        }
-    }
-    for l in &emitters.lamps {
-        beams.push((Light::Lamp(l), l.identity, l.power(1.0).element_sum()));
-    }
-    for l in &emitters.suns {
-        let disc = PI * f64::from(radius) * f64::from(radius);
-        let power = l.illuminance.as_dvec3().element_sum() * disc;
-        beams.push((Light::Sun(l, center, radius), l.identity, power));
-    }
-    let total: f64 = beams.iter().map(|b| b.2).sum();
-    let share = |power: f64| (power / total * f64::from(settings.primary)).round().clamp(1.0, 1e9) as u32;
-    beams.into_iter().map(|(light, seed, power)| Beam { light, seed, primary: share(power) }).collect()
-}
-
-impl Beam<'_> {
-    /// Sends the photons of primary sample `k`.
-    fn shoot(&self, k: u32, directions: u32, tracer: &mut Tracer) {
-        let place = r2(k, unit2(mix(self.seed)));
-        // Each point turns the lattice of directions anew.
-        let turn = unit2(combine(self.seed, u64::from(k) + 1));
-        let count = f64::from(self.primary) * f64::from(directions);
-        for i in 0..directions {
-            let p = r2(i, turn);
-            match self.light {
-                Light::Area(light, normal) => {
-                    let (point, radiance) = light.sample(place);
-                    let flux = radiance.as_dvec3() * (PI * f64::from(light.area) / count);
-                    let direction = basis(normal) * cosine_hemisphere(p);
-                    tracer.trace(point + normal * OFFSET, direction, flux, &|_| 1.0);
-                }
-                Light::Lamp(lamp) => shoot_lamp(lamp, place, p, count, tracer),
-                Light::Sun(sun, center, radius) => {
-                    // Every photon has a place of its own on the disc: photons of one point would all arrive together.
-                    let at = r2(k.wrapping_mul(directions).wrapping_add(i), unit2(mix(self.seed)));
-                    let frame = basis(cone_direction(sun, p));
-                    let (r, phi) = (radius * at.x.sqrt(), std::f32::consts::TAU * at.y);
-                    let across = frame.x_axis * (r * libm::cosf(phi)) + frame.y_axis * (r * libm::sinf(phi));
-                    let area = PI * f64::from(radius) * f64::from(radius);
-                    let flux = sun.illuminance.as_dvec3() * (area / count);
-                    tracer.trace(center + frame.z_axis * radius + across, -frame.z_axis, flux, &|_| 1.0);
-                }
-            }
-        }
-    }
-}
-
-/// A direction towards the sun's disc, with density proportional to the cosine to its axis: E⊥ stays what it is.
-fn cone_direction(sun: &SunLight, p: Vec2) -> Vec3 {
-    let sine = libm::sinf(sun.half_angle);
-    // sin² is uniform where the density is proportional to the cosine.
-    let s = sine * p.x.sqrt();
-    let phi = std::f32::consts::TAU * p.y;
-    let local = Vec3::new(s * libm::cosf(phi), s * libm::sinf(phi), (1.0 - s * s).max(0.0).sqrt());
-    basis(sun.direction) * local
-}
-
-fn shoot_lamp(lamp: &Lamp, place: Vec2, p: Vec2, count: f64, tracer: &mut Tracer) {
-    let (direction, solid_angle, falloff) = match &lamp.spot {
-        None => (sphere(p), 4.0 * PI, 1.0),
-        Some(spot) => {
-            let local = cap(p, spot.cos_outer as f32);
-            let solid_angle = 2.0 * PI * (1.0 - spot.cos_outer);
-            (basis(spot.direction.as_vec3()) * local, solid_angle, spot.falloff(local.z.into()))
-        }
-    };
-    let flux = lamp.intensity.as_dvec3() * (f64::from(falloff) * solid_angle / count);
-    // A luminous sphere: the photon crosses the disc that its direction sees, uniformly.
-    let frame = basis(direction);
-    let (r, phi) = (lamp.radius * place.x.sqrt(), std::f32::consts::TAU * place.y);
-    let across = frame.x_axis * (r * libm::cosf(phi)) + frame.y_axis * (r * libm::sinf(phi));
-    tracer.trace(lamp.position + across, direction, flux, &|point| lamp.window(point.distance(lamp.position)));
-}
-
 /// Follows photons and notes where they arrive.
 struct Tracer<'t> {
     rays: &'t Rays<'t>,
@@ -200,10 +99,10 @@ struct Tracer<'t> {
 }
 
 impl Tracer<'_> {
-    /// One photon; `window` dims it by the place where it arrives.
-    fn trace(&mut self, origin: Vec3, direction: Vec3, flux: DVec3, window: &dyn Fn(Vec3) -> f32) {
+    fn trace(&mut self, photon: &Photon) {
+        let Photon { mut origin, direction, flux, .. } = *photon;
         self.flux.emitted += flux;
-        let (mut origin, mut left) = (origin, flux);
+        let mut left = flux;
         for _ in 0..LAYERS {
             self.traced += 1;
             let Some(hit) = self.rays.closest(origin, direction, f32::INFINITY) else {
@@ -213,7 +112,7 @@ impl Tracer<'_> {
             let surface = self.rays.geometry.surface(hit.triangle, hit.u, hit.v, 0.0);
             let point = origin + direction * hit.distance;
             let passed = left * surface.transmittance.as_dvec3();
-            self.arrive(&hit, point, left, passed, surface.coverage, window(point));
+            self.arrive(&hit, point, left, passed, surface.coverage, photon.window(point));
             left = passed;
             if left.max_element() <= 1e-4 * flux.max_element() {
                 self.flux.absorbed += left;

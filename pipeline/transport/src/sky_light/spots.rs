@@ -11,7 +11,7 @@ use glam::{Vec2, Vec3};
 use luxel_scene::sky::SkyImage;
 
 use super::image_direction;
-use crate::Rgb;
+use crate::{Rgb, sampling::linear};
 
 /// Multiple of the mean radiance from which on a sky counts as a spot.
 const THRESHOLD: f64 = 4.0;
@@ -95,13 +95,6 @@ impl Spots {
         let per_area = 2.0 * PI / f64::from(self.width) * PI * (bottom - top) * libm::sin(PI * v).max(1e-9);
         (image_direction(Vec2::new(u, v as f32), self.rotation), probability * relative.max(1e-9) / per_area)
     }
-}
-
-/// A number in [0, 1] with density linear from `a` at 0 to `b` at 1, not both 0.
-fn linear(a: f32, b: f32, p: f32) -> f32 {
-    let root = (a * a + p * (b * b - a * a)).max(0.0).sqrt();
-    let t = p * (a + b) / (a + root);
-    if t.is_finite() { t.clamp(0.0, 1.0) } else { p }
 }
 
 /// Upper and lower end of a row of cells, in [0, 1].

@@ -42,6 +42,8 @@ pub use enclosure::is_closed;
 pub struct SolveSettings {
     /// Directions of the first bounce.
     pub directions: u32,
+    /// Factor by which every bounce has fewer directions than the one before it; 1 keeps their number.
+    pub decay: f32,
     /// Directions of late bounces, at least.
     pub floor: u32,
     pub set: DirectionSet,
@@ -68,6 +70,7 @@ impl Default for SolveSettings {
     fn default() -> Self {
         Self {
             directions: 512,
+            decay: 2.0,
             floor: 16,
             set: DirectionSet::Fibonacci,
             rule: Rule::Surface,
@@ -231,8 +234,9 @@ fn planned_rays(surfels: &Surfels, settings: &SolveSettings) -> u64 {
 }
 
 fn directions_of(settings: &SolveSettings, bounce: u32) -> u32 {
-    let halved = settings.directions.checked_shr(bounce - 1).unwrap_or(0);
-    halved.max(settings.floor.min(settings.directions)).max(1)
+    // Repeated division is exact for the usual factor of two, and the same on every machine for all others.
+    let fewer = (1..bounce).fold(f64::from(settings.directions), |left, _| left / f64::from(settings.decay.max(1.0)));
+    (fewer as u32).max(settings.floor.min(settings.directions)).max(1)
 }
 
 /// Steps of a share of sky: the ledger sums thousands of them.

@@ -8,12 +8,20 @@ use std::{cmp::Ordering, collections::BinaryHeap};
 
 use glam::{DVec3, Vec3};
 
-use super::Settings;
 use crate::{
     Rgb,
     lighttree::{Branch, Cluster, LightTree, Node, Vantage},
     rays::Rays,
 };
+
+/// How far a cut is refined.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Limits {
+    /// Largest bound of a cluster, as a share of the total.
+    pub threshold: f32,
+    /// Most clusters.
+    pub clusters: u32,
+}
 
 /// A tree as one receiver sees it.
 pub(super) struct Source<'a> {
@@ -129,7 +137,7 @@ impl Cut {
         origin: Vec3,
         offset: Rgb,
         expected: Rgb,
-        settings: &Settings,
+        limits: &Limits,
     ) -> Found {
         self.heap.clear();
         self.members.clear();
@@ -140,9 +148,9 @@ impl Cut {
                 self.push(&search, source, root, None);
             }
         }
-        self.descend(&search, settings, mean(expected.as_dvec3()));
+        self.descend(&search, limits, mean(expected.as_dvec3()));
         self.evaluate(&mut search);
-        self.refine(&mut search, settings);
+        self.refine(&mut search, limits);
         let bound: f64 = self.heap.iter().map(|m| f64::from(m.bound)).sum();
         let clusters = search.lights + self.heap.len() as u32;
         Found { sum: search.total, bound: bound as f32, clusters, rays: search.rays }
@@ -167,12 +175,12 @@ impl Cut {
 
     /// Refines what is too coarse for the expected total, without evaluating anything. Half of the limit is left for
     /// refining by the true total.
-    fn descend(&mut self, search: &Search, settings: &Settings, expected: f64) {
+    fn descend(&mut self, search: &Search, limits: &Limits, expected: f64) {
         if expected <= 0.0 {
             return;
         }
-        let target = f64::from(settings.threshold) * expected;
-        while self.heap.len() + self.lights.len() < settings.limit as usize / 2 {
+        let target = f64::from(limits.threshold) * expected;
+        while self.heap.len() + self.lights.len() < limits.clusters as usize / 2 {
             match self.heap.peek() {
                 Some(top) if f64::from(top.bound) > target => {}
                 _ => return,
@@ -202,9 +210,9 @@ impl Cut {
     }
 
     /// Refines by the running total.
-    fn refine(&mut self, search: &mut Search, settings: &Settings) {
-        while search.lights as usize + self.heap.len() < settings.limit as usize {
-            let target = f64::from(settings.threshold) * mean(search.total).max(0.0);
+    fn refine(&mut self, search: &mut Search, limits: &Limits) {
+        while search.lights as usize + self.heap.len() < limits.clusters as usize {
+            let target = f64::from(limits.threshold) * mean(search.total).max(0.0);
             match self.heap.peek() {
                 Some(top) if f64::from(top.bound) > target => {}
                 _ => return,

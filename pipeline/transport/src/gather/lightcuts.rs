@@ -25,21 +25,21 @@
 //! clustering, and many times the typical error. It covers neither the near rays' noise nor that surfels are patches,
 //! not points.
 
-mod cut;
-
-use glam::Vec3;
 use luxel_scene::{Cancelled, Progress, Silent};
 
-use self::cut::{Cut, Source};
-use super::{Field, Gather, Gathered, Receiver, hemisphere::Hemisphere, refresh::surfel_receiver, run};
+use super::{
+    Field, Gather, Gathered, Receiver,
+    cut::{Cut, Limits, Source},
+    hemisphere::Hemisphere,
+    near::{Near, NearField, NearRay, cap},
+    refresh::surfel_receiver,
+    run,
+};
 use crate::{
     Rgb,
     lighttree::{LightTree, Vantage, emitter_samples, variant},
     rays::OFFSET,
 };
-
-/// Kernel bound in patch sizes: nearer than three voxels a surfel is no point light.
-const NEAR: f32 = 3.0;
 
 /// Most near rays that the median is taken of.
 const MOST_SEEN: usize = 64;
@@ -77,7 +77,7 @@ pub struct Lightcuts<'a> {
     direct: LightTree<'a>,
     /// Bounds b of both trees' kernels.
     caps: [f32; 2],
-    hemisphere: Hemisphere,
+    near: NearField,
     /// See [`Lightcuts::covered`].
     covered: bool,
 }
@@ -88,20 +88,6 @@ struct Scratch {
     cut: Cut,
     /// Radiosity that each near ray saw.
     seen: Vec<Rgb>,
-}
-
-/// What the near rays saw, as means over all of them.
-#[derive(Default)]
-struct Near {
-    /// Irradiance of the trees in use, as rays alone would have it.
-    irradiance: Rgb,
-    /// Σ B·w, Σ w and Σ πLₑ·w, divided by the number of rays.
-    reflected: Rgb,
-    weight: Rgb,
-    emitted: Rgb,
-    /// Every ray ended on a solid surface with a surfel.
-    covered: bool,
-    rays: u32,
 }
 
 impl<'a> Lightcuts<'a> {
@@ -124,7 +110,6 @@ impl<'a> Lightcuts<'a> {
             LightTree::default()
         };
         let samples = emitter_samples(geometry, settings.emitter_samples);
-        let cap = |size: f32| 1.0 / (NEAR * size * (NEAR * size));
         let caps = [cap(field.surfels.grid.edge), cap(samples.spacing.max(OFFSET))];
         progress.check()?;
         let direct = if settings.emitter_samples > 0 {
@@ -132,20 +117,16 @@ impl<'a> Lightcuts<'a> {
         } else {
             LightTree::default()
         };
-        Ok(Self {
-            field,
-            settings,
-            indirect,
-            direct,
-            caps,
-            hemisphere: Hemisphere::new(settings.near_rays.max(1)),
-            covered,
-        })
+        Ok(Self { field, settings, indirect, direct, caps, near: NearField::new(settings.near_rays), covered })
     }
 
     /// All that lit surfels see are surfels.
     pub fn covered(&self) -> bool {
         self.covered
+    }
+
+    fn limits(&self) -> Limits {
+        Limits { threshold: self.settings.threshold, clusters: self.settings.limit }
     }
 
     fn at(&self, Scratch { cut, seen }: &mut Scratch, receiver: &Receiver) -> Gathered {
@@ -163,7 +144,7 @@ impl<'a> Lightcuts<'a> {
             variant: variant(receiver.seed),
         });
         let origin = receiver.position + receiver.normal * OFFSET;
-        let found = cut.find(&sources, self.field.rays, origin, offset, near.irradiance, &self.settings);
+        let found = cut.find(&sources, self.field.rays, origin, offset, near.irradiance, &self.limits());
         Gathered {
             irradiance: (found.sum.as_vec3()).max(Rgb::ZERO),
             bound: found.bound,
@@ -174,40 +155,20 @@ impl<'a> Lightcuts<'a> {
 
     fn near(&self, receiver: &Receiver, seen: &mut Vec<Rgb>) -> Near {
         seen.clear();
-        let origin = receiver.position + receiver.normal * OFFSET;
-        let mut near = Near { covered: true, ..Near::default() };
-        for direction in self.hemisphere.about(receiver.shading_normal, receiver.seed).directions() {
-            if receiver.normal.dot(direction) <= 0.0 {
-                continue;
-            }
-            seen.push(self.near_ray(&mut near, receiver.shading_normal.dot(direction), origin, direction));
-        }
-        let scale = 1.0 / self.hemisphere.len() as f32;
-        near.irradiance *= scale;
-        near.reflected *= scale;
-        near.weight *= scale;
-        near.emitted *= scale;
-        near
+        self.near.look(receiver, receiver.seed, |near, ray| seen.push(self.near_ray(near, ray)))
     }
 
-    /// Adds one ray to the sums; `cosine` is its cosine at the receiver. Returns the radiosity that it saw.
-    fn near_ray(&self, near: &mut Near, cosine: f32, origin: Vec3, direction: Vec3) -> Rgb {
+    /// Adds one ray to the sums. Returns the radiosity that it saw.
+    fn near_ray(&self, near: &mut Near, ray: &NearRay) -> Rgb {
         let (mut covered, mut seen) = (false, Rgb::ZERO);
-        let (_, rays) = self.field.walk(origin, direction, |e| {
-            let kernel = cosine * e.cosine / (e.distance * e.distance);
-            let [w, w_direct] = self.caps.map(|cap| (1.0 - cap / kernel).max(0.0));
+        let (_, rays) = self.field.walk(ray.origin, ray.direction, |e| {
+            let [w, w_direct] = ray.excess(e, self.caps);
             covered = e.known && e.share == Rgb::ONE;
             if !self.indirect.is_empty() {
-                let radiosity = e.share * e.radiosity;
-                seen += radiosity;
-                near.irradiance += radiosity;
-                near.reflected += radiosity * w;
-                near.weight += e.share * w;
+                seen += near.reflect(e, w);
             }
             if !self.direct.is_empty() {
-                let emission = e.share * e.emission;
-                near.irradiance += emission;
-                near.emitted += emission * w_direct;
+                near.emit(e, w_direct);
             }
         });
         near.covered &= covered;

@@ -1,0 +1,93 @@
+//! The empirical order with which an error falls: e(x)² = e₀² + (c·x⁻ᵏ)², fitted to the points of a series.
+//!
+//! x grows with the work, k is the order, and e₀ is where the error stands still however far this one parameter is
+//! refined: what all others leave. For every candidate e₀ the line log √(e² − e₀²) = log c − k log x is fitted by least
+//! squares; the e₀ with the least squared error of log e wins. Three points at least, and an error that falls by a tenth:
+//! else there is no order to speak of.
+
+use serde::{Deserialize, Serialize};
+
+/// The law of a series.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Fit {
+    /// k; 0 where the error does not fall.
+    pub order: f64,
+    /// e₀, the error that is left.
+    pub floor: f64,
+    /// c.
+    pub scale: f64,
+    /// Root mean square of log e about the law.
+    pub misfit: f64,
+}
+
+/// Candidates for the floor between 0 and the least error.
+const FLOORS: usize = 200;
+
+/// Largest order that is believed: above it two points near a floor decide.
+const STEEPEST: f64 = 4.0;
+
+impl Fit {
+    /// Fits pairs (x, e) with x > 0; none where they are too few or say nothing.
+    pub fn of(points: &[(f64, f64)]) -> Option<Self> {
+        let points: Vec<(f64, f64)> = points.iter().copied().filter(|(x, e)| *x > 0.0 && *e > 0.0).collect();
+        let least = points.iter().map(|p| p.1).fold(f64::INFINITY, f64::min);
+        let most = points.iter().map(|p| p.1).fold(0.0, f64::max);
+        if points.len() < 3 || least > 0.9 * most {
+            return None;
+        }
+        let candidates = (0..FLOORS).map(|i| least * i as f64 / FLOORS as f64);
+        let fits = candidates.filter_map(|floor| Self::above(&points, floor));
+        fits.min_by(|a, b| a.misfit.total_cmp(&b.misfit))
+    }
+
+    /// The line for a given floor.
+    fn above(points: &[(f64, f64)], floor: f64) -> Option<Self> {
+        let n = points.len() as f64;
+        let logs: Vec<(f64, f64)> =
+            points.iter().map(|(x, e)| (x.ln(), 0.5 * (e * e - floor * floor).max(1e-30).ln())).collect();
+        let (mx, my) = (logs.iter().map(|l| l.0).sum::<f64>() / n, logs.iter().map(|l| l.1).sum::<f64>() / n);
+        let xx: f64 = logs.iter().map(|l| (l.0 - mx).powi(2)).sum();
+        let xy: f64 = logs.iter().map(|l| (l.0 - mx) * (l.1 - my)).sum();
+        if xx <= 0.0 {
+            return None;
+        }
+        let order = (-xy / xx).clamp(0.0, STEEPEST);
+        let fit = Self { order, floor, scale: (my + order * mx).exp(), misfit: 0.0 };
+        let squares: f64 = points.iter().map(|(x, e)| (fit.error(*x).ln() - e.ln()).powi(2)).sum();
+        Some(Self { misfit: (squares / n).sqrt(), ..fit })
+    }
+
+    /// The error at x.
+    pub fn error(&self, x: f64) -> f64 {
+        self.floor.hypot(self.own(x))
+    }
+
+    /// The part of the error at x that further work on this parameter takes away.
+    pub fn own(&self, x: f64) -> f64 {
+        self.scale * x.powf(-self.order)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_law_is_found_again() {
+        for (order, floor) in [(1.0, 0.004), (0.5, 0.0), (2.0, 0.01)] {
+            let law = Fit { order, floor, scale: 1.0, misfit: 0.0 };
+            let points: Vec<(f64, f64)> = (3..10).map(|i| f64::from(1 << i)).map(|x| (x, law.error(x))).collect();
+            let fit = Fit::of(&points).unwrap();
+            assert!((fit.order - order).abs() < 0.05, "{fit:?}");
+            assert!((fit.floor - floor).abs() < 0.1 * floor + 1e-3, "{fit:?}");
+            assert!((fit.error(200.0) / law.error(200.0) - 1.0).abs() < 0.02);
+        }
+    }
+
+    #[test]
+    fn what_does_not_fall_has_no_order() {
+        assert_eq!(Fit::of(&[(1.0, 0.1), (2.0, 0.1), (4.0, 0.099)]), None);
+        assert_eq!(Fit::of(&[(1.0, 0.1), (2.0, 0.05)]), None);
+        assert_eq!(Fit::of(&[(0.0, 0.1), (0.0, 0.05), (0.0, 0.01)]), None);
+    }
+}

@@ -1,0 +1,106 @@
+//! Error maps: the atlas as it is baked, as the reference has it, and the difference, side by side.
+//!
+//! The difference is signed and relative to the mean irradiance: white where there is none, red where the bake is too
+//! bright, blue where it is too dark, full colour at ten per cent. Texels that do not count are grey.
+
+use std::sync::Arc;
+
+use glam::Vec3;
+use luxel_atlas::Atlas;
+use luxel_export::png::{Image8, encode_png};
+use luxel_export::tonemap::ToneMap;
+use luxel_scene::Progress;
+
+use super::truth::{self, Exactness};
+use crate::Error;
+use crate::bake::lab::{self, Lab};
+use crate::settings::{LightGroups, Settings, value::Texels};
+use crate::store::Store;
+
+/// Side of the atlas that is mapped: every texel of it takes paths.
+const SIDE: u32 = 96;
+
+/// Pixels along the side of a texel, at least.
+const ZOOM: u32 = 4;
+
+/// Share of the mean at which the difference has its full colour.
+pub const FULL: f64 = 0.1;
+
+/// Pixels between the pictures.
+const GAP: u32 = 8;
+
+/// A third of a percent of a picture is not seen, and costs much.
+const TRUTH: Exactness = Exactness { texels: usize::MAX, noise: 0.01, paths: 8192 };
+
+const NOTHING: [u8; 3] = [96, 96, 96];
+
+/// The picture as PNG: baked, reference, difference.
+///
+/// # Errors
+/// As a bake.
+pub fn draw(lab: &Lab, base: &Settings, store: Option<&Store>, progress: &dyn Progress) -> Result<Vec<u8>, Error> {
+    let small = Settings { size: Texels(SIDE), light_groups: LightGroups::One, ..base.clone() };
+    let (atlas, _) = lab::lay_out(lab.scene(), &small, progress)?;
+    let lab = lab.tuned(&small);
+    let all = (0..atlas.texels.len()).collect();
+    let truth = truth::truth(&lab, &atlas, all, &TRUTH, store, progress)?;
+    let trial = lab::attempt(lab.scene(), &small, &atlas, progress)?;
+    let counts = |i: usize| atlas.texels[i].coverage() >= 0.5 && !trial.parts.buried[i];
+    let found = |i: usize| trial.parts.total(i);
+    let known = |i: usize| truth.points[i].total();
+    let lit: Vec<Vec3> = (0..atlas.texels.len()).filter(|&i| counts(i)).map(known).collect();
+    let tone = ToneMap::auto(&lit, progress)?;
+    let mean = truth.mean().max(f64::MIN_POSITIVE);
+    let difference = |i: usize| {
+        let d = f64::from((found(i) - known(i)).element_sum()) / 3.0 / mean;
+        signed(d / FULL)
+    };
+    let encode = |light: Vec3| tone.encode(light);
+    let panels: [&dyn Fn(usize) -> [u8; 3]; 3] = [&|i| encode(found(i)), &|i| encode(known(i)), &difference];
+    Ok(encode_png(&sheet(&atlas, &panels, &counts))?)
+}
+
+/// White at 0, red at 1, blue at −1.
+fn signed(share: f64) -> [u8; 3] {
+    let fade = |full: f64| (255.0 * (1.0 - full.clamp(0.0, 1.0))) as u8;
+    if share >= 0.0 { [255, fade(share), fade(share)] } else { [fade(-share), fade(-share), 255] }
+}
+
+/// All pages, each in three pictures side by side.
+fn sheet(atlas: &Arc<Atlas>, panels: &[&dyn Fn(usize) -> [u8; 3]; 3], counts: &dyn Fn(usize) -> bool) -> Image8 {
+    let side = SIDE * ZOOM;
+    let pages = atlas.pages.len().max(1) as u32;
+    let (width, height) = (3 * side + 2 * GAP, pages * side + (pages - 1) * GAP);
+    let mut image = Image8 { width, height, texels: vec![[255; 3]; (width * height) as usize] };
+    for (column, colour) in panels.iter().enumerate() {
+        let left = column as u32 * (side + GAP);
+        for page in 0..pages {
+            fill(&mut image, (left, page * (side + GAP), side, side), [40, 40, 40]);
+        }
+        for (i, texel) in atlas.texels.iter().enumerate() {
+            let colour = if counts(i) { colour(i) } else { NOTHING };
+            let top = atlas.chart(texel).page * (side + GAP);
+            let at = (left + u32::from(texel.x) * ZOOM, top + u32::from(texel.y) * ZOOM, ZOOM, ZOOM);
+            fill(&mut image, at, colour);
+        }
+    }
+    image
+}
+
+fn fill(image: &mut Image8, (x, y, width, height): (u32, u32, u32, u32), colour: [u8; 3]) {
+    for row in y..(y + height).min(image.height) {
+        let start = (row * image.width + x) as usize;
+        image.texels[start..start + width as usize].fill(colour);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_difference_is_red_above_and_blue_below() {
+        assert_eq!([0.0, 1.0, 7.0, -1.0].map(signed), [[255; 3], [255, 0, 0], [255, 0, 0], [0, 0, 255]]);
+        assert_eq!(signed(0.5), [255, 127, 127]);
+    }
+}

@@ -1,0 +1,143 @@
+//! One measurement: light at all texels of an atlas by one way, its cost, and its error where the truth is known.
+
+use std::sync::Arc;
+
+use luxel_atlas::Atlas;
+use luxel_scene::Progress;
+use luxel_transport::{
+    direct::Visibility,
+    gather::Receiver,
+    methods::{Light, Method},
+};
+
+use super::series::{Attempt, Series, Trial};
+use super::truth::Truth;
+use super::{Point, Score};
+use crate::Error;
+use crate::bake::{
+    artefact,
+    digest::Digest,
+    lab::{self, Cost, Lab, Technique},
+};
+use crate::plan::Stage;
+use crate::settings::{FIELDS, Settings};
+use crate::store::{Key, Kind, Reader, Store};
+
+/// A scene with its texels and their truth.
+#[derive(Clone, Copy)]
+pub struct Measure<'a> {
+    pub lab: &'a Lab<'a>,
+    pub atlas: &'a Arc<Atlas>,
+    pub truth: &'a Truth,
+    /// Where measurements are kept.
+    pub store: Option<&'a Store>,
+    /// Makes all measurements anew.
+    pub fresh: bool,
+}
+
+/// What was found at the texels of the truth, and what it took at all of them.
+struct Found {
+    light: Vec<Light>,
+    cost: Cost,
+    texel_seconds: f64,
+    surfels: u64,
+    continuous_rays: u64,
+    discrete_rays: u64,
+}
+
+impl Measure<'_> {
+    /// Measures a point, or reads what was measured of it before.
+    ///
+    /// # Errors
+    /// As a bake.
+    pub fn point(&self, series: &Series, attempt: &Attempt, progress: &dyn Progress) -> Result<Point, Error> {
+        let key = self.key(attempt);
+        let read = |body: &mut Reader| artefact::body::<Point>(body);
+        let stored = self.store.filter(|_| !self.fresh).and_then(|store| store.get(Kind::Measurement, &key, read));
+        let point = match stored {
+            Some(point) => point,
+            None => {
+                let point = self.made(attempt, progress)?;
+                if let Some(store) = self.store {
+                    store.put(Kind::Measurement, &key, |out| artefact::put_value(out, &point));
+                }
+                point
+            }
+        };
+        // One measurement may stand in several series.
+        let name = self.lab.scene().name.clone();
+        let (method, value) = (attempt.method.clone(), attempt.value.clone());
+        Ok(Point { scene: name, series: series.name.clone(), method, value, x: attempt.x, ..point })
+    }
+
+    /// Digest of what a measurement follows from: the truth with its paths, the method, and all settings.
+    fn key(&self, attempt: &Attempt) -> Key {
+        let (technique, settings) = match &attempt.trial {
+            Trial::Bake(settings) => ("bake".to_owned(), settings),
+            Trial::Method(technique, settings) => (format!("{technique:?}"), settings),
+        };
+        let digest = Digest::new("measurement").number(super::VERSION).text(env!("CARGO_PKG_VERSION"));
+        let digest = digest.bytes(&self.truth.key).number(self.truth.paths.into()).text(&technique);
+        let digest = Stage::ALL.into_iter().fold(digest, Digest::version);
+        FIELDS.iter().fold(digest, |digest, field| digest.setting(settings, field.name)).done()
+    }
+
+    fn made(&self, attempt: &Attempt, progress: &dyn Progress) -> Result<Point, Error> {
+        let found = match &attempt.trial {
+            Trial::Bake(settings) => self.bake(settings, progress)?,
+            Trial::Method(technique, settings) => self.method(*technique, settings, progress)?,
+        };
+        Ok(Point {
+            texels: self.atlas.texels.len() as u64,
+            surfels: found.surfels,
+            seconds: found.cost.seconds,
+            texel_seconds: found.texel_seconds,
+            cpu_seconds: found.cost.cpu_seconds,
+            continuous_rays: found.continuous_rays,
+            discrete_rays: found.discrete_rays,
+            reference_paths: self.truth.paths,
+            score: Score::of(&found.light, self.truth),
+            ..Point::default()
+        })
+    }
+
+    fn bake(&self, settings: &Settings, progress: &dyn Progress) -> Result<Found, Error> {
+        let trial = lab::attempt(self.lab.scene(), settings, self.atlas, progress)?;
+        let light = |i: &usize| Light {
+            direct: trial.parts.direct[*i],
+            indirect: trial.parts.indirect[*i],
+            ..Light::default()
+        };
+        let counted = trial.counted();
+        let count = |name: &str| counted.get(name).copied().unwrap_or_default();
+        Ok(Found {
+            light: self.truth.texels.iter().map(light).collect(),
+            cost: trial.cost,
+            texel_seconds: trial.seconds(&[Stage::Clear, Stage::Direct, Stage::Sky, Stage::Gather]),
+            surfels: trial.facts.surfels,
+            continuous_rays: count("continuous_rays"),
+            discrete_rays: count("discrete_rays"),
+        })
+    }
+
+    fn method(&self, technique: Technique, settings: &Settings, progress: &dyn Progress) -> Result<Found, Error> {
+        let side = self.lab.receivers(self.atlas);
+        let receivers: Vec<Receiver> = (0..side.len()).map(|i| side.receiver(i)).collect();
+        let lab = self.lab.tuned(settings);
+        // What the solution took was measured when it was made; here it is only asked for.
+        let cache = if technique.is_cached() { Some(lab.cache(progress)?) } else { None };
+        let work = |method: &dyn Method| Ok(method.light(&receivers, progress)?);
+        let (all, cost) = Cost::of(|| lab.method(technique, Visibility::Shafts, progress, work));
+        let all: Vec<Light> = all?;
+        let record = cache.and_then(|cache| cache.record.as_ref());
+        let traced = |light: &Light| u64::from(light.rays);
+        Ok(Found {
+            light: self.truth.texels.iter().map(|&i| all[i]).collect(),
+            texel_seconds: cost.seconds,
+            cost: cost + lab.rays_cost + cache.map_or(Cost::default(), |cache| cache.cost),
+            surfels: cache.map_or(0, |cache| cache.surfels.list.len() as u64),
+            continuous_rays: all.iter().map(traced).sum(),
+            discrete_rays: record.map_or(0, |record| record.discrete_rays),
+        })
+    }
+}

@@ -1,0 +1,305 @@
+//! The whole report of one scene.
+//!
+//! Every point is kept in the store as soon as it is measured, and the tables are written anew after each: whoever
+//! interrupts a long report loses the point at work and goes on from there the next time.
+
+use std::path::{Path, PathBuf};
+
+use luxel_export::write_atomic;
+use luxel_scene::{Progress, Scene, Uncounted};
+use serde::Serialize;
+use serde_json::json;
+
+use super::advice::{self, Advice};
+use super::fit::Fit;
+use super::measure::Measure;
+use super::point::csv;
+use super::series::{self, Series};
+use super::table::{self, Column};
+use super::truth::{self, Exactness};
+use super::{Point, Score, maps, plot};
+use crate::Error;
+use crate::bake::lab::{self, Lab};
+use crate::settings::{LightGroups, Settings};
+use crate::store::Store;
+
+/// What is wanted of a report.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Order {
+    pub exactness: Exactness,
+    /// Settings that are swept; none: all of them.
+    pub sweeps: Option<Vec<String>>,
+    pub methods: bool,
+    pub together: bool,
+    pub table: bool,
+    pub maps: bool,
+    /// Measures anew what was measured before.
+    pub fresh: bool,
+    /// What the tables say about how they were made: the command, the machine.
+    pub notes: Vec<String>,
+}
+
+/// What was found out about a scene.
+#[derive(Clone, Debug, Serialize)]
+pub struct Findings {
+    pub scene: String,
+    pub reference: Known,
+    /// The bake with the settings as they are.
+    pub base: Score,
+    #[serde(skip)]
+    pub points: Vec<Point>,
+    /// Laws of all series that have one.
+    pub fits: Vec<(String, Fit)>,
+    pub advice: Vec<Advice>,
+    /// In one sentence, which setting limits the error.
+    pub verdict: String,
+    pub table1: Vec<Column>,
+    /// What was written.
+    pub files: Vec<PathBuf>,
+}
+
+/// What the reference is.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct Known {
+    pub texels: usize,
+    pub paths: u32,
+    /// [lux]
+    pub mean: f64,
+    pub noise: f64,
+}
+
+/// Measures a scene and writes `STEM.report.csv`, `.md`, `.json`, `.front.svg`, `.sweeps.svg`, `.maps.png` into a folder.
+/// `tell` hears of every point.
+///
+/// # Errors
+/// As a bake, and where a file cannot be written.
+pub fn study(
+    scene: &Scene,
+    base: &Settings,
+    order: &Order,
+    (folder, stem): (&Path, &str),
+    store: &Store,
+    progress: &dyn Progress,
+    tell: &mut (dyn FnMut(&Point) + Send),
+) -> Result<Findings, Error> {
+    // Light that one scene's lights make together: that is what the errors of settings are of.
+    let base = &Settings { light_groups: LightGroups::One, ..base.clone() };
+    Lab::with(scene, base, None, progress, |lab| {
+        let (atlas, _) = lab::lay_out(scene, base, progress)?;
+        let texels = truth::texels(lab, &atlas, order.exactness.texels);
+        let truth = truth::truth(lab, &atlas, texels, &order.exactness, Some(store), progress)?;
+        let measure = Measure { lab, atlas: &atlas, truth: &truth, store: Some(store), fresh: order.fresh };
+        let mut book = Book { order, folder, stem, points: Vec::new(), files: Vec::new() };
+        let sweeps: Vec<Series> = series::sweeps(base, !scene.sky.is_dark())
+            .into_iter()
+            .filter(|s| order.sweeps.as_ref().is_none_or(|wanted| wanted.contains(&s.name)))
+            .collect();
+        let mut all: Vec<Series> = vec![series::as_it_is(base)];
+        all.extend(order.together.then(|| series::together(base)));
+        all.extend(if order.methods { series::methods(base) } else { Vec::new() });
+        all.extend(sweeps.iter().cloned());
+        let count = all.iter().map(|s| s.attempts.len() as u64).sum();
+        progress.begin("report", count);
+        for series in &all {
+            for attempt in &series.attempts {
+                let point = measure.point(series, attempt, &Uncounted(progress))?;
+                tell(&point);
+                progress.advance(1);
+                book.add(point)?;
+            }
+        }
+        let advice = advice::advise(base, &sweeps, &book.points);
+        let fits = all.iter().filter_map(|s| Some((s.name.clone(), law(s, &book.points)?))).collect();
+        let table1 = if order.table { columns(scene, base, &atlas, progress)? } else { Vec::new() };
+        let base_score = book.points.first().map(|p| p.score).unwrap_or_default();
+        let reference =
+            Known { texels: truth.texels.len(), paths: truth.paths, mean: truth.mean(), noise: truth.noise() };
+        let verdict = advice::verdict(&advice);
+        let mut findings = Findings {
+            scene: scene.name.clone(),
+            reference,
+            base: base_score,
+            points: Vec::new(),
+            fits,
+            advice,
+            verdict,
+            table1,
+            files: Vec::new(),
+        };
+        if order.maps {
+            let png = maps::draw(lab, base, Some(store), progress)?;
+            book.put("maps.png", &png)?;
+        }
+        book.close(&mut findings)?;
+        Ok(findings)
+    })
+}
+
+/// The law of a series.
+fn law(series: &Series, points: &[Point]) -> Option<Fit> {
+    let own = points.iter().filter(|p| p.series == series.name);
+    Fit::of(&own.map(|p| (p.x, p.score.corrected)).collect::<Vec<_>>())
+}
+
+/// The paper's columns, the same settings here, and the settings as they are.
+fn columns(
+    scene: &Scene,
+    base: &Settings,
+    atlas: &std::sync::Arc<luxel_atlas::Atlas>,
+    progress: &dyn Progress,
+) -> Result<Vec<Column>, Error> {
+    let triangles = scene.triangle_count();
+    let mut columns: Vec<Column> = table::printed().into();
+    let of_paper = table::settings_of_the_paper(base, triangles);
+    for (name, settings) in [("the paper's settings here", &of_paper), ("the settings as they are", base)] {
+        let trial = lab::attempt(scene, settings, atlas, progress)?;
+        columns.push(Column { name: name.into(), figures: table::measured(&trial, triangles) });
+    }
+    Ok(columns)
+}
+
+/// The files of a report as they grow.
+struct Book<'a> {
+    order: &'a Order,
+    folder: &'a Path,
+    stem: &'a str,
+    points: Vec<Point>,
+    files: Vec<PathBuf>,
+}
+
+impl Book<'_> {
+    fn path(&self, ending: &str) -> PathBuf {
+        self.folder.join(format!("{}.{ending}", self.stem))
+    }
+
+    fn put(&mut self, ending: &str, bytes: &[u8]) -> Result<(), Error> {
+        let path = self.path(ending);
+        write_atomic(&path, bytes)?;
+        if !self.files.contains(&path) {
+            self.files.push(path);
+        }
+        Ok(())
+    }
+
+    fn add(&mut self, point: Point) -> Result<(), Error> {
+        self.points.push(point);
+        let bytes = csv(&self.points, &self.order.notes).map_err(|e| Error::Report { what: e.to_string() })?;
+        self.put("report.csv", &bytes)
+    }
+
+    fn close(mut self, findings: &mut Findings) -> Result<(), Error> {
+        let noise = findings.reference.noise;
+        let told = |what| Error::Report { what };
+        let title = format!("{}: error against run time", self.stem);
+        let front = plot::front(&title, &self.points, noise).map_err(told)?;
+        self.put("front.svg", front.as_bytes())?;
+        let title = format!("{}: one setting at a time", self.stem);
+        let sweeps = plot::sweeps(&title, &self.points, noise).map_err(told)?;
+        self.put("sweeps.svg", sweeps.as_bytes())?;
+        findings.points = std::mem::take(&mut self.points);
+        let text = markdown(findings, &self.order.notes);
+        self.put("report.md", text.as_bytes())?;
+        let mut json = serde_json::to_vec_pretty(&json!({ "notes": self.order.notes, "findings": findings }))
+            .map_err(|e| told(e.to_string()))?;
+        json.push(b'\n');
+        self.put("report.json", &json)?;
+        findings.files = self.files;
+        Ok(())
+    }
+}
+
+/// A point in one line.
+pub fn line(point: &Point) -> String {
+    let Point { series, value, method, cpu_seconds, score, .. } = point;
+    let rmse = percent(score.corrected);
+    format!(
+        "{series} {value} ({method}): RMSE {rmse}, bias {:+.2} %, {cpu_seconds:.1} s of processor",
+        100.0 * score.bias
+    )
+}
+
+/// A share in per cent.
+fn percent(share: f64) -> String {
+    format!("{:.2} %", 100.0 * share)
+}
+
+/// The table of all points for a terminal or a page.
+pub fn points_table(points: &[Point]) -> String {
+    let head = [
+        "series",
+        "method",
+        "value",
+        "CPU s",
+        "RMSE",
+        "bias",
+        "p95",
+        "direct",
+        "indirect",
+        "continuous rays",
+        "discrete rays",
+    ];
+    let row = |p: &Point| {
+        let s = &p.score;
+        vec![
+            p.series.clone(),
+            p.method.clone(),
+            p.value.clone(),
+            format!("{:.2}", p.cpu_seconds),
+            format!("{} ± {:.2}", percent(s.corrected), 100.0 * s.rmse_error),
+            format!("{:+.2} %", 100.0 * s.bias),
+            format!("{:.1} %", 100.0 * s.p95),
+            percent(s.direct_rmse),
+            percent(s.indirect_rmse),
+            p.continuous_rays.to_string(),
+            p.discrete_rays.to_string(),
+        ]
+    };
+    let lines: Vec<Vec<String>> =
+        std::iter::once(head.map(String::from).to_vec()).chain(points.iter().map(row)).collect();
+    table::grid(&lines)
+}
+
+/// What follows from the points: the laws, and what limits the error.
+pub fn conclusions(findings: &Findings) -> String {
+    let mut lines = vec![["setting", "value", "order", "floor", "now", "twice the work"].map(String::from).to_vec()];
+    for a in &findings.advice {
+        let fitted = |get: fn(&Fit) -> String| a.fit.as_ref().map_or("-".into(), get);
+        let known = |x: f64| if a.fit.is_some() { percent(x) } else { "-".into() };
+        lines.push(vec![
+            a.setting.clone(),
+            a.value.clone(),
+            fitted(|f| format!("{:.2}", f.order)),
+            fitted(|f| percent(f.floor)),
+            known(a.now),
+            known(a.doubled),
+        ]);
+    }
+    let together = findings.fits.iter().find(|(name, _)| name == "together").map(|(_, fit)| {
+        format!(
+            "All settings together: order {:.2} in voxels along a side, down to {}.\n",
+            fit.order,
+            percent(fit.floor)
+        )
+    });
+    format!("{}\n{}\n{}", table::grid(&lines), together.unwrap_or_default(), findings.verdict)
+}
+
+fn markdown(findings: &Findings, notes: &[String]) -> String {
+    let Known { texels, paths, mean, noise } = findings.reference;
+    let mut text = format!("# {}: error against run time\n\n", findings.scene);
+    for note in notes {
+        text += &format!("{note}\n");
+    }
+    text += &format!(
+        "\nReference: path tracing, {texels} texels, {paths} paths each, mean irradiance {mean:.4e} lux, noise {}. RMSE \
+         with that noise taken off, ± its standard error; shares of the mean irradiance.\n\n{}\n## What limits the \
+         error\n\n{}\n",
+        percent(noise),
+        points_table(&findings.points),
+        conclusions(findings)
+    );
+    if !findings.table1.is_empty() {
+        text += &format!("\n## Table 1 of the paper\n\n{}", table::text(&findings.table1));
+    }
+    text
+}

@@ -1,0 +1,115 @@
+//! `luxel report` through the binary: what it writes, that it goes on where it stopped, and that the settings which it
+//! finds for an error keep it.
+
+mod tool;
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use serde_json::Value;
+use tempfile::TempDir;
+use tool::{Run, files, folder, luxel};
+
+/// A report that takes seconds.
+fn quick(args: &[&str], folder: &TempDir) -> Run {
+    const QUICK: [&str; 14] = [
+        "--preset",
+        "draft",
+        "--gather",
+        "lightcuts",
+        "--size",
+        "32",
+        "--voxels",
+        "2000",
+        "--texels",
+        "60",
+        "--noise",
+        "5%",
+        "--paths",
+        "2048",
+    ];
+    luxel(&[args, &QUICK].concat(), folder.path())
+}
+
+fn events(run: &Run, name: &str) -> Vec<Value> {
+    let all = run.stdout.lines().map(|line| serde_json::from_str::<Value>(line).unwrap());
+    all.filter(|event| event["event"] == name).collect()
+}
+
+/// The rows of a table, by the names of its columns.
+fn rows(path: &Path) -> Vec<BTreeMap<String, String>> {
+    let mut table = csv::ReaderBuilder::new().comment(Some(b'#')).from_path(path).unwrap();
+    table.deserialize().collect::<Result<_, _>>().unwrap()
+}
+
+fn number(row: &BTreeMap<String, String>, column: &str) -> f64 {
+    row[column].parse().unwrap_or_else(|_| panic!("{column}: {:?}", row[column]))
+}
+
+#[test]
+fn a_report_has_a_table_plots_and_advice_and_is_measured_once() {
+    let folder = folder(&["cornell.glb"]);
+    let args = ["report", "cornell.glb", "--json", "--sweep", "directions", "--no-together"];
+    let first = quick(&args, &folder).ended(0);
+    let points = events(&first, "point");
+    let [report] = &events(&first, "report")[..] else { panic!("{}", first.stdout) };
+    let place = folder.path().join("report");
+    let written: Vec<String> = files(&place).into_keys().filter(|name| !name.starts_with(".luxel")).collect();
+    let endings = ["front.svg", "maps.png", "report.csv", "report.json", "report.md", "sweeps.svg"];
+    assert_eq!(written, endings.map(|ending| format!("cornell.{ending}")));
+
+    let table = rows(&place.join("cornell.report.csv"));
+    assert_eq!(table.len(), points.len());
+    for row in &table {
+        assert!(number(row, "cpu_seconds") > 0.0 && number(row, "mean_lux") > 0.0, "{row:?}");
+        // The plain sum of parts bounds the whole, whatever their correlation; the noise of the reference is in each.
+        let parts = number(row, "direct_rmse") + number(row, "indirect_rmse") + 3.0 * number(row, "reference_noise");
+        assert!(number(row, "rmse_corrected") <= parts + 0.02, "{row:?}");
+    }
+    let of = |series: &str| table.iter().filter(|r| r["series"] == series).collect::<Vec<_>>();
+    let paths = of("path tracing");
+    let [few, many] = [paths[0], paths[paths.len() - 1]].map(|row| number(row, "rmse_corrected"));
+    assert!(few > 2.0 * many, "path tracing: {few} and {many}");
+    let directions = of("directions");
+    let rays: Vec<f64> = directions.iter().map(|row| number(row, "discrete_rays")).collect();
+    assert!(rays.windows(2).all(|w| w[0] < w[1]), "{rays:?}");
+
+    let findings = &report["findings"];
+    assert_eq!(findings["advice"][0]["setting"], "directions");
+    assert!(findings["verdict"].as_str().is_some_and(|v| v.len() > 20), "{findings}");
+    assert_eq!(findings["table1"].as_array().unwrap().len(), 4);
+    let text = std::fs::read_to_string(place.join("cornell.report.md")).unwrap();
+    for part in ["rays/s (discrete)", "2.75 %", "1.33 %", "What limits the error", "Machine: ", "luxel report"] {
+        assert!(text.contains(part), "{part} is not in {text}");
+    }
+
+    // Times too are those that were measured.
+    let before = std::fs::read(place.join("cornell.report.csv")).unwrap();
+    quick(&args, &folder).ended(0);
+    assert!(before == std::fs::read(place.join("cornell.report.csv")).unwrap());
+}
+
+#[test]
+fn settings_for_an_error_keep_it() {
+    let folder = folder(&["cornell.glb"]);
+    let found = quick(&["report", "cornell.glb", "--target-error", "12%", "--json"], &folder).ended(0);
+    let [target] = &events(&found, "target")[..] else { panic!("{}", found.stdout) };
+    assert!(target["reached"] == true && target["rmse_most"].as_f64().unwrap() <= 0.12, "{target}");
+    let flags: Vec<&str> = target["flags"].as_str().unwrap().split(' ').collect();
+    assert!(flags.contains(&"--voxels"), "{target}");
+
+    let missed = quick(&["report", "cornell.glb", "--target-error", "0.01%"], &folder).ended(1);
+    assert!(missed.stderr.contains("cannot be promised"), "{}", missed.stderr);
+    let found = quick(&["report", "cornell.glb", "--target-time", "0s"], &folder).ended(1);
+    assert!(found.stderr.contains("roughest settings"), "{}", found.stderr);
+}
+
+#[test]
+fn what_cannot_be_swept_is_wrong_usage() {
+    let folder = folder(&["cornell.glb"]);
+    let run = quick(&["report", "cornell.glb", "--sweep", "colour"], &folder).ended(2);
+    assert!(run.stderr.contains("colour") && run.stderr.contains("voxels"), "{}", run.stderr);
+    for wrong in [["--target-error", "200%"], ["--noise", "0"], ["--target-time", "soon"]] {
+        quick(&[&["report", "cornell.glb"], &wrong[..]].concat(), &folder).ended(2);
+    }
+}
