@@ -22,6 +22,8 @@
 //! | preview | `Lightmap`s → picture | any of the above | nothing receives light |
 //! | export | everything → .exr, .glb, .png, .json | any of the above | never |
 //!
+//! [`render`] takes pictures of a scene, by the same light or that of other methods.
+//!
 //! [`plan`] decides what is left out before anything runs, and the report tells it. No stage reads a clock or the
 //! number of threads to decide a value. Import and export touch files, and every stage that costs time leaves an artefact
 //! in the [`store`], under the digest of what it reads, from which the next bake takes it.

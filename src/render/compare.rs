@@ -175,19 +175,22 @@ fn colour(value: f32) -> [u8; 3] {
 
 /// What the colours mean, in a cell of the sheet.
 fn legend(sheet: &mut Image8, (left, top): (u32, u32), (width, height): (u32, u32), scale: f32) {
-    let bar = Image8 { width: width.min(32), height: height.saturating_sub(2 * LINE + GAP).max(1), texels: Vec::new() };
+    let bar = Image8 { width: width.min(32), height: height.saturating_sub(3 * LINE + GAP).max(1), texels: Vec::new() };
     let level = |y: u32| 1.0 - 2.0 * (y as f32 + 0.5) / bar.height as f32;
     let texels = (0..bar.height).flat_map(|y| std::iter::repeat_n(colour(level(y)), bar.width as usize)).collect();
     let top = top + LINE / 2;
     paste(sheet, (left, top), &Image8 { texels, ..bar });
     let percent = 100.0 * f64::from(scale);
     for (share, sign) in [(0.0f64, "+"), (0.25, "+"), (0.5, ""), (0.75, "-"), (1.0, "-")] {
-        let value = percent * (1.0 - 2.0 * share).abs();
+        // Round in decimal, as the scale was chosen.
+        let value = (1e4 * percent * (1.0 - 2.0 * share).abs()).round() / 1e4;
         let y = top + (share * f64::from(bar.height)) as u32;
         label::write(sheet, (left + bar.width + GAP, y.saturating_sub(LINE / 2)), &format!("{sign}{value} %"), INK);
     }
     let below = top + bar.height + GAP;
-    label::write(sheet, (left, below), "of the mean reflected", INK);
+    for (y, line) in [(below, "of the mean radiance"), (below + LINE, "that surfaces reflect")] {
+        label::write(sheet, (left, y), line, INK);
+    }
 }
 
 #[cfg(test)]

@@ -16,6 +16,10 @@ use super::pixel::{Pixel, Sample, Shown};
 /// Least difference of a band that counts, in sRGB bytes.
 const STEP: u8 = 6;
 
+/// Share by which all bands may differ without being looked at: by twice that, as the curve scales all bands by the
+/// brightest, times 1/2.4, the largest power of sRGB, times 255 there are less than three steps.
+const ALIKE: f32 = 0.01;
+
 /// Standard errors, the largest around, by which light has to differ for it to be more than noise.
 const NOISE: f32 = 5.0;
 
@@ -53,14 +57,23 @@ impl Differ<'_> {
             return Want::Coverage;
         }
         let lights = || own.iter().map(|s| s.lit.irradiance);
-        let shown = self.tone.encode(radiance(sample, own, lights()));
+        let shown = radiance(sample, own, lights());
         let in_their_light = radiance(sample, own, theirs.iter().map(|s| s.lit.irradiance));
         let is_noise = own.iter().zip(theirs).all(|(a, b)| self.is_noise(a, b));
-        if !is_noise && is_step(shown, self.tone.encode(in_their_light)) {
+        if !is_noise && self.is_step(shown, in_their_light) {
             return Want::Light;
         }
         let of_their_stuff = radiance(there, theirs, lights());
-        if is_step(shown, self.tone.encode(of_their_stuff)) { Want::Coverage } else { Want::Nothing }
+        if self.is_step(shown, of_their_stuff) { Want::Coverage } else { Want::Nothing }
+    }
+
+    /// Two radiances are displayed differently.
+    fn is_step(&self, a: Rgb, b: Rgb) -> bool {
+        // The curve and sRGB only lessen ratios, so this is less than a step of any band, and spares the powers.
+        if (a - b).abs().cmple(ALIKE * a.min(b)).all() {
+            return false;
+        }
+        self.tone.encode(a).iter().zip(self.tone.encode(b)).any(|(a, b)| a.abs_diff(b) >= STEP)
     }
 
     fn is_noise(&self, a: &Shown, b: &Shown) -> bool {
@@ -70,8 +83,4 @@ impl Differ<'_> {
 
 fn radiance(sample: &Sample, shown: &[Shown], light: impl Iterator<Item = Rgb>) -> Rgb {
     sample.background + shown.iter().zip(light).map(|(s, e)| s.radiance(e)).sum::<Rgb>()
-}
-
-fn is_step(a: [u8; 3], b: [u8; 3]) -> bool {
-    a.iter().zip(b).any(|(a, b)| a.abs_diff(b) >= STEP)
 }
