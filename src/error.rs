@@ -46,6 +46,14 @@ pub enum Error {
     NotStored { what: String, store: PathBuf },
     #[error("{0}")]
     NotGoodEnough(Box<Refusal>),
+    #[error("there is no camera {name:?}; the scene has: {cameras}")]
+    Camera { name: String, cameras: String },
+    #[error(
+        "a picture of {width} × {height} pixels is too large: at most {} on a side and {} in all",
+        crate::render::lens::MOST_SIDE,
+        crate::render::lens::MOST_PIXELS
+    )]
+    PictureSize { width: u32, height: u32 },
     #[error(transparent)]
     Export(ExportError),
     #[error(

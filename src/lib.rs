@@ -22,7 +22,10 @@
 //! | preview | `Lightmap`s → picture | any of the above | nothing receives light |
 //! | export | everything → .exr, .glb, .png, .json | any of the above | never |
 //!
-//! [`verify`] measures the error of a finished lightmap, before export, where that is asked for. [`plan`] decides what is left out before anything runs, and the report tells it. No stage reads a clock or the
+//! [`verify`] measures the error of a finished lightmap, before export, where that is asked for; [`render`] takes pictures
+//! of a scene, by the same light or that of other methods; [`study`] measures error against run time.
+//!
+//! [`plan`] decides what is left out before anything runs, and the report tells it. No stage reads a clock or the
 //! number of threads to decide a value. Import and export touch files, and every stage that costs time leaves an artefact
 //! in the [`store`], under the digest of what it reads, from which the next bake takes it.
 
@@ -33,7 +36,7 @@ pub mod discover;
 mod error;
 pub mod live;
 pub mod plan;
-pub mod preview;
+pub mod render;
 pub mod settings;
 pub mod store;
 pub mod study;

@@ -4,10 +4,8 @@ use std::path::{Path, PathBuf};
 
 use luxel_export::{
     Effort, Images, Original, OutputSet, Report, StagedImages, ToneMap, encode_png_with, report::Warning,
-    sample_lightmap,
 };
 use luxel_scene::{Progress, Scene};
-use luxel_transport::Rgb;
 
 use super::journal::Journal;
 use super::tracer::Tracer;
@@ -15,7 +13,10 @@ use super::{Baking, Lit, Request};
 use crate::Error;
 use crate::current::{self, Reason};
 use crate::plan::{Plan, Stage};
-use crate::preview::{Picture, Preview};
+use crate::render::light::ByLightmap;
+use crate::render::march::Look;
+use crate::render::preview;
+use crate::render::studio::at;
 use crate::store::TEMPORARY;
 use crate::text;
 
@@ -28,10 +29,11 @@ pub fn preview(baking: &Baking, tracer: &Tracer, lit: &Lit, journal: &mut Journa
         let picture = match rays {
             Some(rays) => {
                 let irradiance = |instance, triangle, u, v| at(lit, instance, triangle, u, v);
-                let (emission, sky) = (&lighting.emission[..], lighting.sky);
-                Preview { rays, irradiance: &irradiance, mean: lit.sums.mean, emission, sky }.render(progress)?
+                let look = Look { rays, emission: Some(&lighting.emission), sky: lighting.sky };
+                let light = ByLightmap { geometry: tracer.geometry, lookup: &irradiance, mean: lit.sums.mean };
+                preview::preview(&look, &light, progress)?
             }
-            None => Picture::black(tracer.geometry.scene),
+            None => preview::black(tracer.geometry.scene),
         };
         counters.insert("pixels".into(), picture.radiance.len() as u64);
         let tone = ToneMap::auto(&picture.radiance, progress)?;
@@ -39,15 +41,6 @@ pub fn preview(baking: &Baking, tracer: &Tracer, lit: &Lit, journal: &mut Journa
         Ok(encode_png_with(&picture, Effort::Small, progress)?)
     })?;
     Ok(png)
-}
-
-/// The finished lightmap at a point of an instance.
-fn at(lit: &Lit, instance: u32, triangle: u32, u: f32, v: f32) -> Option<Rgb> {
-    let placed = lit.atlas.placed.get(instance as usize)?.as_ref()?;
-    let corners = placed.triangles.get(triangle as usize)?;
-    let [a, b, c] = corners.map(|i| placed.uvs[i as usize]);
-    let uv = a * (1.0 - u - v) + b * u + c * v;
-    Some(sample_lightmap(&lit.lightmaps, placed.page, uv))
 }
 
 /// The images, under temporary names, and at the same time the scene with its lightmap, over the file as it was.

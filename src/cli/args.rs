@@ -1,11 +1,15 @@
 //! What can be written on the command line. The settings' flags and their help come from [`FIELDS`].
 
-use std::num::NonZeroUsize;
+use std::num::{NonZeroU32, NonZeroUsize};
 use std::path::PathBuf;
 use std::time::Duration;
 
 use clap::{Arg, ArgMatches, Args, Command, FromArgMatches, Parser, Subcommand, error::ErrorKind};
+use glam::DVec3;
 use luxel::bake::mix::Mix;
+use luxel::render::exposure::RANGE;
+use luxel::render::lens::MOST_SIDE;
+use luxel::render::method::{Entry, named};
 use luxel::settings::{FIELDS, Layer, Origin, Settings};
 use luxel::store::StoreOptions;
 use luxel::verify::Verify;
@@ -114,6 +118,55 @@ Events of --json are those of luxel bake.
 
 Exit codes: 0 done, 1 some scenes failed, 2 wrong usage, 130 interrupted.";
 
+const RENDERING: &str = "\
+The picture of a scene from a camera: NAME.render.png as it is displayed and NAME.render.exr as radiance (cd/m², linear
+Rec. 709, 32 bit, A = 1), beside the scene's outputs in baked/ or --out DIR. Nothing of a bake is written, but for the
+store, in which a picture uses and leaves what bakes with the same settings do. Surfaces are Lambertian: L = Le + ρE/π.
+
+Methods:
+  lightcuts    the voxel solution, gathered by lightcuts at every point, direct light and sky exactly
+  lightmap     the lightmap of a bake, which is made where the store does not have it
+  lookup       the voxel solution, interpolated
+  final        the voxel solution, by a final gather
+  samples      the voxel solution, by random sample voxels: the picture gets better pass by pass
+  voxels       the voxels of the solution, shown directly
+  photons      photon mapping, gathered by lightcuts
+  paths        path tracing: the reference, without bias, with noise
+
+Every pixel has 4 samples, and all --aa N where what is displayed differs between its samples or from its neighbours, or
+where they show other surfaces. The method samples, and with --progressive or --time the method paths, write a first picture
+soon and again whenever they have drawn twice as much, until that is spent or the time is over; how far they come in a
+given time depends on the machine, what they show then does not.
+
+Examples:
+  luxel render level.glb                                        from its camera, by lightcuts
+  luxel render level.glb --camera Door --width 1920             another camera, by its name or number
+  luxel render level.glb --eye 1,1.7,4 --target 0,1,0 --fov 60  from anywhere
+  luxel render level.glb --method lightmap --to lit.png         what an engine shows with the lightmap
+  luxel render level.glb --method paths --paths 1000 --time 60  the reference, as far as a minute takes it
+  luxel render level.glb --compare photons,lightcuts,paths      side by side, with differences to the last
+  luxel render levels/ --out pictures/ --exposure 7             every scene below a folder, at one exposure
+
+--compare writes NAME.compare.png: every method's picture at one exposure, and below each its difference to the last one,
+or to --against, in false colour (red is brighter), with RMSE and bias in % of the mean radiance that surfaces reflect,
+wall-clock time of all that the method needs, and rays where it counts them. For that, nothing is taken from the store.
+
+Events of --json, one object per line, with their fields:
+  started, progress, finished                          stages, as of luxel bake
+  pass         scene, method, pass, draws, seconds, error, outputs    with --progressive or --time
+  rendered     scene, method, draws, seconds, width, height, samples, points, rays, error, exposure, outputs, warnings
+  compared     scene, against, width, height, exposure, reflected, methods, outputs, warnings   of --compare; each of the
+                                                       methods has method, draws, seconds, samples, points, rays,
+                                                       error, rmse, bias, p95
+  failed       scene, error, causes                    no picture of it was written
+  done         scenes, failed, unchanged, stale        the last event
+  interrupted  scene, scenes, failed                   the last event after Ctrl-C
+  usage        error, causes                           the last event of a command line that could not be followed
+draws are those of a method that draws at random, or null; error is its estimated standard error, and as rmse, bias and
+p95 a share of the mean reflected radiance, or null; exposure in EV at ISO 100; reflected in cd/m².
+
+Exit codes: 0 done, 1 some scenes failed, 2 wrong usage, 130 interrupted.";
+
 const CACHING: &str = "\
 A bake keeps the result of every stage under the digest of all that it follows from, so that the next one makes only
 what has changed. Everything in a store can be made again: removing it costs time and nothing else. A bake keeps its
@@ -198,6 +251,9 @@ pub enum Task {
     /// Write a baked scene's outputs with other weights of its light groups; nothing is baked for it.
     #[command(after_help = MIXING)]
     Export(Export),
+    /// Take pictures of scenes: by lightcuts, from their lightmaps, by the reference; or compare methods.
+    #[command(after_help = RENDERING)]
+    Render(Render),
     /// Measure error against run time: tables, plots, what limits the error, and the settings for an error or a time.
     #[command(after_help = REPORTING)]
     Report(Report),
@@ -286,6 +342,112 @@ pub struct Export {
     /// Folder for what is written [default: mixed/ beside each scene]; --out is that of the bake
     #[arg(long, value_name = "DIR")]
     pub to: Option<PathBuf>,
+}
+
+#[derive(Debug, Args)]
+pub struct Render {
+    #[command(flatten)]
+    pub bake: Bake,
+    /// Where the light comes from [default: lightcuts]
+    #[arg(long, value_name = "METHOD", value_parser = named, conflicts_with = "compare", help_heading = PICTURE)]
+    pub method: Option<&'static Entry>,
+    /// Methods side by side, each with its difference to the last
+    #[arg(long, value_name = "METHOD,..", value_parser = named, value_delimiter = ',', help_heading = PICTURE)]
+    pub compare: Vec<&'static Entry>,
+    /// The method of the comparison to which the others are compared [default: the last]
+    #[arg(long, value_name = "METHOD", value_parser = named, requires = "compare", help_heading = PICTURE)]
+    pub against: Option<&'static Entry>,
+    /// The scene's camera of this name, or of this number, from 0 [default: its first, else a view that luxel chooses]
+    #[arg(long, value_name = "NAME|N", conflicts_with = "eye", help_heading = PICTURE)]
+    pub camera: Option<String>,
+    /// Look from here, in scene units; with --target
+    #[arg(long, value_name = "X,Y,Z", value_parser = place, requires = "target", allow_hyphen_values = true,
+          help_heading = PICTURE)]
+    pub eye: Option<DVec3>,
+    /// Look at this point
+    #[arg(long, value_name = "X,Y,Z", value_parser = place, requires = "eye", allow_hyphen_values = true,
+          help_heading = PICTURE)]
+    pub target: Option<DVec3>,
+    /// Vertical field of view of --eye, in degrees [default: 50]
+    #[arg(long, value_name = "DEGREES", requires = "eye", allow_hyphen_values = true, help_heading = PICTURE)]
+    pub fov: Option<f64>,
+    /// Pixels across; one of both sides keeps the camera's aspect [default: the longer side has 960]
+    #[arg(long, value_name = "PIXELS", value_parser = side(), help_heading = PICTURE)]
+    pub width: Option<u32>,
+    /// Pixels down
+    #[arg(long, value_name = "PIXELS", value_parser = side(), help_heading = PICTURE)]
+    pub height: Option<u32>,
+    /// Samples of a pixel with an edge, up to 256; or off: one in the middle of every pixel
+    #[arg(long, value_name = "off|N", value_parser = samples, default_value = "16", help_heading = PICTURE)]
+    pub aa: u32,
+    /// Exposure value at ISO 100: 15 in sunlight, 5 to 8 in rooms, one more is half as bright [default: as the picture
+    /// shows most; of a comparison, as the method shows most that others are compared to]
+    #[arg(long, value_name = "EV", value_parser = exposure, allow_hyphen_values = true, help_heading = PICTURE)]
+    pub exposure: Option<f64>,
+    /// Paths of every point of --method paths [default: 64; with --time, as many as it takes]
+    #[arg(long, value_name = "N", help_heading = PICTURE)]
+    pub paths: Option<NonZeroU32>,
+    /// Passes of --method samples, of two sets of 64 voxels for every point [default: 8; with --time, as many as it takes]
+    #[arg(long, value_name = "N", help_heading = PICTURE)]
+    pub samples: Option<NonZeroU32>,
+    /// Photons of --method photons [default: 50000]
+    #[arg(long, value_name = "N", help_heading = PICTURE)]
+    pub photons: Option<NonZeroU32>,
+    /// Write the picture as it gets better, by the method paths; samples does so unasked
+    #[arg(long, conflicts_with = "compare", help_heading = PICTURE)]
+    pub progressive: bool,
+    /// The same, for about so many seconds
+    #[arg(long, value_name = "SECONDS", value_parser = seconds, conflicts_with = "compare", help_heading = PICTURE)]
+    pub time: Option<Duration>,
+    /// Name of the picture, a .png; its .exr goes beside it. For one scene
+    #[arg(long, value_name = "FILE", value_parser = png, help_heading = PICTURE)]
+    pub to: Option<PathBuf>,
+}
+
+/// Heading of the options of pictures.
+const PICTURE: &str = "Picture";
+
+/// Most samples of a pixel.
+const MOST_SAMPLES: u32 = 256;
+
+fn side() -> clap::builder::RangedI64ValueParser<u32> {
+    clap::value_parser!(u32).range(1..=i64::from(MOST_SIDE))
+}
+
+fn place(text: &str) -> Result<DVec3, String> {
+    let numbers: Option<Vec<f64>> =
+        text.split(',').map(|n| n.trim().parse().ok().filter(|n: &f64| n.is_finite())).collect();
+    match numbers.as_deref() {
+        Some(&[x, y, z]) => Ok(DVec3::new(x, y, z)),
+        _ => Err("expected three numbers with commas between them: 1,1.7,-4".into()),
+    }
+}
+
+fn samples(text: &str) -> Result<u32, String> {
+    match text {
+        "off" => Ok(1),
+        text => text
+            .parse()
+            .ok()
+            .filter(|n| (1..=MOST_SAMPLES).contains(n))
+            .ok_or_else(|| format!("expected off, or a number of samples from 1 to {MOST_SAMPLES}")),
+    }
+}
+
+fn exposure(text: &str) -> Result<f64, String> {
+    let (least, most) = (RANGE.start(), RANGE.end());
+    text.parse().ok().filter(|ev| RANGE.contains(ev)).ok_or_else(|| format!("expected EV from {least} to {most}"))
+}
+
+fn seconds(text: &str) -> Result<Duration, String> {
+    let seconds = text.parse().ok().filter(|s: &f64| *s > 0.0 && *s <= 1e9);
+    seconds.map(Duration::from_secs_f64).ok_or_else(|| "expected a number of seconds above 0".into())
+}
+
+fn png(text: &str) -> Result<PathBuf, String> {
+    let path = PathBuf::from(text);
+    let is_png = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("png")) && path.file_stem().is_some();
+    if is_png { Ok(path) } else { Err("expected the name of a .png".into()) }
 }
 
 #[derive(Debug, Args)]
@@ -548,6 +710,49 @@ mod tests {
         assert_eq!(names.len(), schema.lines().filter(|l| l.starts_with("//! | `")).count() - 1);
         for name in names {
             assert!(schema.contains(&format!("//! | `{name}` |")), "{name}");
+        }
+    }
+
+    #[test]
+    fn pictures_take_views_and_methods() {
+        let render = |line: &str| match Cli::try_parse_from(line.split(' '))?.task {
+            Task::Render(render) => Ok::<_, clap::Error>(render),
+            other => panic!("{other:?}"),
+        };
+        let args = render("luxel render a.glb --eye -1,2,3e0 --target 0,0,-1 --fov 40 --aa off --exposure -2").unwrap();
+        assert_eq!((args.eye, args.target), (Some(DVec3::new(-1.0, 2.0, 3.0)), Some(DVec3::NEG_Z)));
+        assert_eq!((args.fov, args.aa, args.exposure), (Some(40.0), 1, Some(-2.0)));
+        let args = render("luxel render a.glb --compare lightcuts,paths --against lightcuts").unwrap();
+        assert_eq!(args.compare.iter().map(|m| m.name).collect::<Vec<_>>(), ["lightcuts", "paths"]);
+        assert_eq!(args.against.map(|m| m.name), Some("lightcuts"));
+        for (wrong, expected) in [
+            ("--method cuts", "there is no method \"cuts\"; there are: lightcuts"),
+            ("--compare lightcuts,cuts", "there is no method"),
+            ("--eye 1,2 --target 0,0,0", "three numbers"),
+            ("--eye 1,2,nan --target 0,0,0", "three numbers"),
+            ("--eye 1,2,3", "--target"),
+            ("--fov 60", "--eye"),
+            ("--camera 0 --eye 1,2,3 --target 0,0,0", "cannot be used with"),
+            ("--width 0", "1..=16384"),
+            ("--height 16385", "1..=16384"),
+            ("--aa 257", "1 to 256"),
+            ("--exposure bright", "-60 to 60"),
+            ("--time 0", "above 0"),
+            ("--paths 0", "--paths"),
+            ("--to picture.jpg", "a .png"),
+            ("--method paths --compare paths", "cannot be used with"),
+            ("--against paths", "--compare"),
+        ] {
+            let message = render(&format!("luxel render a.glb {wrong}")).unwrap_err().to_string();
+            assert!(message.contains(expected), "{wrong}: {message}");
+        }
+    }
+
+    #[test]
+    fn the_help_of_render_lists_every_method_with_its_first_words() {
+        for entry in luxel::render::method::METHODS {
+            let line = RENDERING.lines().find(|l| l.starts_with(&format!("  {} ", entry.name)));
+            assert!(line.is_some(), "{}", entry.name);
         }
     }
 

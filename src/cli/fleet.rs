@@ -262,17 +262,10 @@ mod tests {
         let Task::Bake(args) = Cli::try_parse_from(line.split(' ')).unwrap().task else { panic!("{line}") };
         let cancelled = Arc::new(AtomicBool::new(false));
         let (found, missing) = (Vec::new(), Vec::new());
-        let task = Job { found, missing, config: None, style: Style::Quiet, cancelled: cancelled.clone() };
-        test(
-            &Fleet {
-                task: &task,
-                args: &args,
-                screen: Screen::new(Style::Quiet),
-                worker: None,
-                trials: Mutex::default(),
-            },
-            &cancelled,
-        );
+        let cancelled_too = cancelled.clone();
+        let task = Job { found, missing, config: None, style: Style::Quiet, cancelled: cancelled_too, deed: "baked" };
+        let screen = Screen::new(Style::Quiet);
+        test(&Fleet { task: &task, args: &args, screen, worker: None, trials: Mutex::default() }, &cancelled);
     }
 
     #[test]

@@ -7,6 +7,7 @@ mod export;
 mod fleet;
 mod print;
 mod progress;
+mod render;
 mod report;
 mod watch;
 
@@ -27,7 +28,7 @@ use luxel::text::shown;
 use luxel_export::{ExportError, OutputSet};
 use serde_json::json;
 
-use args::{Bake, Baking, Cli, Common, Export, Report, Task, Watch};
+use args::{Bake, Baking, Cli, Common, Export, Render, Report, Task, Watch};
 use progress::{Reporter, Screen, Style, event, say};
 
 const DONE: u8 = 0;
@@ -54,7 +55,8 @@ pub fn main() -> ExitCode {
         | Task::Plan(args)
         | Task::Watch(Watch { bake: args, .. })
         | Task::Export(Export { bake: args, .. })
-        | Task::Report(Report { bake: args, .. }) => args.common.json,
+        | Task::Report(Report { bake: args, .. })
+        | Task::Render(Render { bake: args, .. }) => args.common.json,
         Task::Cache(args) => args.places().json,
         Task::Defaults | Task::UnwrapWorker => false,
     };
@@ -64,6 +66,7 @@ pub fn main() -> ExitCode {
         Task::Watch(args) => watch::watch(&args),
         Task::Export(args) => export::export(&args),
         Task::Report(args) => report::report(&args),
+        Task::Render(args) => render::render(&args),
         Task::Cache(args) => cache::cache(&args),
         Task::Defaults => {
             progress::out(&luxel::settings::documented_defaults());
@@ -94,6 +97,8 @@ struct Job {
     config: Option<Layer>,
     style: Style,
     cancelled: Arc<AtomicBool>,
+    /// What is done to a scene.
+    deed: &'static str,
 }
 
 impl Job {
@@ -110,7 +115,7 @@ fn prepare(common: &Common, out: Option<&Path>) -> anyhow::Result<Job> {
     let cancelled = Arc::new(AtomicBool::new(false));
     let flag = cancelled.clone();
     on_interrupt(move || flag.store(true, Ordering::Relaxed))?;
-    Ok(Job { found, missing, config, style: Style::choose(common.json, common.quiet), cancelled })
+    Ok(Job { found, missing, config, style: Style::choose(common.json, common.quiet), cancelled, deed: "baked" })
 }
 
 /// The layer of `--config`. A sky image that is not there is said once, and not of every scene.
@@ -276,9 +281,9 @@ fn interrupted(task: &Job, first: &Path, begun: &[&PathBuf], failed: &[&PathBuf]
         Style::Quiet => {}
         Style::Lines | Style::Bar if begun.len() > 1 => {
             let names: Vec<String> = begun.iter().map(|scene| shown(scene)).collect();
-            say(&format!("interrupted; not baked: {}", names.join(", ")));
+            say(&format!("interrupted; not {}: {}", task.deed, names.join(", ")));
         }
-        Style::Lines | Style::Bar => say(&format!("interrupted; {} is not baked", shown(first))),
+        Style::Lines | Style::Bar => say(&format!("interrupted; {} is not {}", shown(first), task.deed)),
     }
     name_all(task, failed, "failed");
 }
@@ -373,6 +378,7 @@ mod tests {
             config: None,
             style: Style::Quiet,
             cancelled: Arc::default(),
+            deed: "baked",
         };
         let mut done = Vec::new();
         let code = each(&task, places(&task.found, None).unwrap(), |found, _, _| {

@@ -13,7 +13,7 @@ use serde_json::{Value, json};
 use crate::cli::progress::{Reporter, Style, duration, event, out, say};
 
 /// Who shows a line to a person.
-type Say<'s> = &'s dyn Fn(&str);
+pub type Say<'s> = &'s dyn Fn(&str);
 
 /// A path in an event; people are [`shown`] it. One that is not Unicode has no form in JSON: its other bytes are replaced.
 pub fn written(path: &Path) -> String {
@@ -95,7 +95,8 @@ fn listed(reasons: &[Reason]) -> Vec<serde_json::Value> {
     reasons.iter().map(Reason::to_json).collect()
 }
 
-fn notes(say: Say, warnings: &[Warning]) {
+/// What a person should know, a line each.
+pub fn notes(say: Say, warnings: &[Warning]) {
     for warning in warnings {
         say(&format!("  note: {}", plain(&warning.message)));
     }

@@ -79,8 +79,8 @@ impl Stage {
     pub fn version(self) -> u32 {
         match self {
             Self::Surfels | Self::Propagate => 4,
-            Self::Unwrap | Self::Shoot | Self::Direct | Self::Gather | Self::Finish | Self::Export => 3,
-            Self::Refresh | Self::Sky | Self::Preview => 2,
+            Self::Unwrap | Self::Shoot | Self::Direct | Self::Gather | Self::Finish | Self::Preview | Self::Export => 3,
+            Self::Refresh | Self::Sky => 2,
             Self::Import | Self::Rays | Self::Cache | Self::Clear => 1,
         }
     }

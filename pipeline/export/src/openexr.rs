@@ -1,10 +1,12 @@
-//! Lightmaps as OpenEXR: the master copy, E in lux without loss.
+//! Lightmaps and pictures as OpenEXR: the master copy, without loss.
 //!
 //! Layout: channels R, G, B (irradiance E (lux), linear Rec. 709) and A (coverage), row 0 at v = 0, ZIP-compressed
 //! scan lines in increasing order. Where some texels' points lie inside or under other geometry, a fifth channel
 //! [`BURIED`] (16 bit) is 1 at them and 0 elsewhere; readers of colours pass it over. Attributes: `software`,
 //! `luxel:unit`, `luxel:key` (the hash of what went into the bake). There is no date, so the same light gives the same
 //! bytes.
+//!
+//! Pictures of radiance have the same form, in cd/m², with A = 1 and without a key.
 
 use std::io::{self, Seek, Write};
 
@@ -49,7 +51,7 @@ impl<'a> Exr<'a> {
         if !map.buried().is_empty() {
             channels.push((BURIED, Values::Marks(map.buried())));
         }
-        Self::new([map.width(), map.height()], &channels, depth, key)
+        Self::new([map.width(), map.height()], &channels, depth, "lux", Some(key))
     }
 
     /// A bound image: one channel Y (lux).
@@ -57,10 +59,30 @@ impl<'a> Exr<'a> {
     /// # Errors
     /// As [`Exr::lightmap`].
     pub fn bound(map: &'a BoundMap, depth: Depth, key: &str) -> Result<Self, ExportError> {
-        Self::new([map.width(), map.height()], &[("Y", Values::All(map.bound()))], depth, key)
+        Self::new([map.width(), map.height()], &[("Y", Values::All(map.bound()))], depth, "lux", Some(key))
     }
 
-    fn new(size: [u32; 2], channels: &[(&str, Values<'a>)], depth: Depth, key: &str) -> Result<Self, ExportError> {
+    /// A picture of radiances (cd/m², linear Rec. 709), row-major from the top; A is 1. 32 bit, no key.
+    ///
+    /// # Errors
+    /// Another number of pixels than `width × height`.
+    pub fn picture(width: u32, height: u32, radiance: &'a [Vec3]) -> Result<Self, ExportError> {
+        if u64::from(width) * u64::from(height) != radiance.len() as u64 {
+            let fault = format!("{} pixels do not make {width} × {height}", radiance.len());
+            return Err(ExportError::Image { what: "EXR".into(), fault });
+        }
+        let band = |c: usize| Values::Band(radiance, c);
+        let channels = [("R", band(0)), ("G", band(1)), ("B", band(2)), ("A", Values::One)];
+        Self::new([width, height], &channels, Depth::Float, "cd/m^2", None)
+    }
+
+    fn new(
+        size: [u32; 2],
+        channels: &[(&str, Values<'a>)],
+        depth: Depth,
+        unit: &str,
+        key: Option<&str>,
+    ) -> Result<Self, ExportError> {
         let [width, height] = size.map(|side| side as usize);
         let mut list = SmallVec::new();
         for &(name, values) in channels {
@@ -76,13 +98,15 @@ impl<'a> Exr<'a> {
         };
         // The exr crate keeps custom attributes in hash maps, whose order changes from run to run. One attribute in
         // each of its two maps has only one order.
-        attributes.other.insert(Text::from("luxel:unit"), AttributeValue::Text(Text::from("lux")));
+        attributes.other.insert(Text::from("luxel:unit"), AttributeValue::Text(Text::from(unit)));
         let encoding =
             Encoding { compression: Compression::ZIP16, blocks: Blocks::ScanLines, line_order: LineOrder::Increasing };
         let layer = Layer::new((width, height), attributes, encoding, AnyChannels::sort(list));
         let mut image = Image::from_layer(layer);
-        let key = Text::new_or_none(key).ok_or_else(|| ExportError::encode("EXR", "the key is not plain text"))?;
-        image.attributes.other.insert(Text::from("luxel:key"), AttributeValue::Text(key));
+        if let Some(key) = key {
+            let key = Text::new_or_none(key).ok_or_else(|| ExportError::encode("EXR", "the key is not plain text"))?;
+            image.attributes.other.insert(Text::from("luxel:key"), AttributeValue::Text(key));
+        }
         Ok(Self(Box::new(image)))
     }
 
@@ -116,6 +140,7 @@ enum Values<'a> {
     All(&'a [f32]),
     /// 1 where it is true, 0 elsewhere.
     Marks(&'a [bool]),
+    One,
 }
 
 impl Values<'_> {
@@ -123,7 +148,7 @@ impl Values<'_> {
     fn depth(self, file: Depth) -> Depth {
         match self {
             Self::Marks(_) => Depth::Half,
-            Self::Band(..) | Self::All(_) => file,
+            Self::Band(..) | Self::All(_) | Self::One => file,
         }
     }
 
@@ -132,6 +157,7 @@ impl Values<'_> {
             Self::Band(colours, band) => colours[i][band],
             Self::All(values) => values[i],
             Self::Marks(marks) => f32::from(marks[i]),
+            Self::One => 1.0,
         }
     }
 }

@@ -124,6 +124,16 @@ impl OutputSet {
         self.file("bake.json")
     }
 
+    /// A picture as it is displayed, and its radiance.
+    pub fn render(&self) -> (PathBuf, PathBuf) {
+        (self.file("render.png"), self.file("render.exr"))
+    }
+
+    /// Pictures by several methods side by side.
+    pub fn compare(&self) -> PathBuf {
+        self.file("compare.png")
+    }
+
     /// Names (without folder) of the lightmap files, as the glb refers to them.
     pub fn lightmap_names(&self, pages: usize) -> Vec<String> {
         (0..pages).filter_map(|p| self.lightmap(p, pages).file_name()?.to_str().map(str::to_owned)).collect()

@@ -1,0 +1,212 @@
+//! `luxel render`: pictures as files, what is told of them, and what is refused.
+
+mod tool;
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use exr::prelude::read_first_rgba_layer_from_file;
+use glam::Vec3;
+use luxel_export::ToneMap;
+use serde_json::Value;
+use tool::*;
+
+/// Settings with which a picture of a shipped scene is taken in a moment.
+const SMALL: [&str; 6] = ["--voxels", "3000", "--directions", "64", "--width", "48"];
+
+fn render(args: &[&str], folder: &Path) -> Run {
+    luxel(&[&["render"], args, &SMALL].concat(), folder)
+}
+
+fn events(run: &Run) -> Vec<Value> {
+    run.stdout.lines().map(|l| serde_json::from_str(l).unwrap()).collect()
+}
+
+fn event(run: &Run, name: &str) -> Value {
+    events(run).into_iter().find(|e| e["event"] == name).unwrap_or_else(|| panic!("no {name}: {}", run.stdout))
+}
+
+/// Width and radiances of an .exr, whose A is 1 everywhere.
+fn radiance(path: &Path) -> (usize, Vec<Vec3>) {
+    let image = read_first_rgba_layer_from_file(
+        path,
+        |size, _| (size.width(), vec![Vec3::ZERO; size.area()]),
+        |(width, pixels): &mut (usize, Vec<Vec3>), at, (r, g, b, a): (f32, f32, f32, f32)| {
+            assert_eq!(a, 1.0);
+            pixels[at.y() * *width + at.x()] = Vec3::new(r, g, b);
+        },
+    );
+    image.unwrap().layer_data.channel_data.pixels
+}
+
+#[test]
+fn a_picture_is_two_files_that_show_the_same() {
+    let folder = folder(&["cornell.glb"]);
+    let run = render(&["cornell.glb", "--exposure", "4", "--json"], folder.path()).ended(0);
+    let baked = folder.path().join("baked");
+    let names: Vec<String> = files(&baked).into_keys().collect();
+    assert_eq!(names, ["cornell.render.exr", "cornell.render.png"], "nothing of a bake");
+
+    let (width, pixels) = radiance(&baked.join("cornell.render.exr"));
+    let png = image::open(baked.join("cornell.render.png")).unwrap().to_rgb8();
+    let rendered = event(&run, "rendered");
+    assert_eq!(
+        (&rendered["method"], &rendered["draws"], &rendered["error"]),
+        (&"lightcuts".into(), &Value::Null, &Value::Null)
+    );
+    assert_eq!((rendered["width"].as_u64(), rendered["height"].as_u64()), (Some(48), Some(png.height().into())));
+    assert_eq!((width, width * png.height() as usize), (48, pixels.len()));
+    assert!((rendered["exposure"].as_f64().unwrap() - 4.0).abs() < 1e-6);
+    let tone = ToneMap { exposure: 1.0 / (1.2 * 16.0), white: 4.0 };
+    for (shown, pixel) in png.pixels().zip(&pixels) {
+        assert_eq!(shown.0, tone.encode(*pixel));
+    }
+    let mean = pixels.iter().sum::<Vec3>() / pixels.len() as f32;
+    assert!(mean.min_element() > 0.0 && pixels.iter().all(|p| p.is_finite() && p.min_element() >= 0.0), "{mean}");
+    assert!(rendered["rays"].as_u64().unwrap() > 0 && rendered["points"].as_u64().unwrap() > 48 * 40);
+    assert_eq!(events(&run).last().unwrap()["event"], "done");
+
+    // What the first one left in the store is not made again, and makes the same picture.
+    let before = files(&baked);
+    let again = render(&["cornell.glb", "--exposure", "4", "--json", "--threads", "1"], folder.path()).ended(0);
+    assert!(files(&baked) == before, "another number of threads");
+    assert!(!again.stdout.contains("\"propagate\""), "{}", again.stdout);
+}
+
+#[test]
+fn the_lightmap_of_a_bake_is_shown_without_another_bake() {
+    let folder = folder(&["cornell.glb"]);
+    let bake = ["--size", "64", "--voxels", "3000", "--directions", "64"];
+    luxel(&[&["bake", "cornell.glb"], &bake[..]].concat(), folder.path()).ended(0);
+    let before = files(&folder.path().join("baked"));
+    let to = ["--method", "lightmap", "--to", "pictures/lit.png", "--width", "60", "--aa", "4", "--json"];
+    let run = luxel(&[&["render", "cornell.glb"], &bake[..], &to].concat(), folder.path()).ended(0);
+    assert!(!run.stdout.contains("\"gather\"") && !run.stdout.contains("\"propagate\""), "{}", run.stdout);
+    assert!(files(&folder.path().join("baked")) == before);
+    let pictures: Vec<String> = files(&folder.path().join("pictures")).into_keys().collect();
+    assert_eq!(pictures, ["lit.exr", "lit.png"]);
+}
+
+#[test]
+fn methods_side_by_side_and_none_differs_from_itself() {
+    let folder = folder(&["cornell.glb"]);
+    let compare = ["--compare", "lookup,lightcuts,paths", "--paths", "8", "--against", "lightcuts", "--json"];
+    let run = render(&[&["cornell.glb"], &compare[..]].concat(), folder.path()).ended(0);
+    let baked = folder.path().join("baked");
+    assert_eq!(files(&baked).into_keys().collect::<Vec<_>>(), ["cornell.compare.png"]);
+    assert!(!baked.join(".luxel").exists(), "a comparison takes nothing from a store and leaves nothing there");
+    let compared = event(&run, "compared");
+    let methods = compared["methods"].as_array().unwrap();
+    let of = |name: &str| methods.iter().find(|m| m["method"] == name).unwrap();
+    assert_eq!((of("lightcuts")["rmse"].as_f64(), of("lightcuts")["bias"].as_f64()), (Some(0.0), Some(0.0)));
+    for name in ["lookup", "paths"] {
+        let rmse = of(name)["rmse"].as_f64().unwrap();
+        assert!(rmse > 0.0 && rmse < 1.0, "{name}: {rmse}");
+    }
+    // What 8 paths miss is what they say that they miss, or less: the error of a pixel takes all its samples for one.
+    let (error, rmse) = (of("paths")["error"].as_f64().unwrap(), of("paths")["rmse"].as_f64().unwrap());
+    assert!(error > 0.3 * rmse && error < 4.0 * rmse, "{error} {rmse}");
+    assert_eq!((of("paths")["draws"].as_u64(), &of("lookup")["draws"]), (Some(8), &Value::Null));
+    let sheet = image::open(baked.join("cornell.compare.png")).unwrap();
+    assert!(sheet.width() > 3 * 48 && sheet.height() > 2 * 40);
+}
+
+#[test]
+fn a_progressive_picture_is_written_at_every_pass() {
+    let folder = folder(&["cornell.glb"]);
+    let args = ["cornell.glb", "--method", "paths", "--paths", "20", "--progressive", "--json"];
+    let run = render(&args, folder.path()).ended(0);
+    let passes: Vec<(u64, f64)> = events(&run)
+        .iter()
+        .filter(|e| e["event"] == "pass")
+        .map(|e| (e["draws"].as_u64().unwrap(), e["error"].as_f64().unwrap()))
+        .collect();
+    assert_eq!(passes.iter().map(|p| p.0).collect::<Vec<_>>(), [4, 8, 16, 20]);
+    assert!(passes[3].1 < passes[0].1, "{passes:?}");
+    assert_eq!(event(&run, "rendered")["draws"], 20);
+    let (_, first) = radiance(&folder.path().join("baked/cornell.render.exr"));
+    render(&args, folder.path()).ended(0);
+    assert!(radiance(&folder.path().join("baked/cornell.render.exr")).1 == first);
+    // Time alone ends it, too.
+    let timed = ["cornell.glb", "--method", "paths", "--time", "0.5", "--to", "timed.png"];
+    let said = render(&timed, folder.path()).ended(0).stderr;
+    assert!(said.contains("pass 1: 4 paths, noise") && said.contains("timed.png"), "{said}");
+}
+
+#[test]
+fn what_cannot_be_pictured_is_told_before_anything_is_done() {
+    let folder = folder(&["cornell.glb", "two_rooms.glb"]);
+    for (args, expected) in [
+        (vec!["--method", "cuts"], "there is no method"),
+        (vec!["--eye", "0,0,0", "--target", "0,0,0"], "look somewhere"),
+        (vec!["--eye", "0,0,nan", "--target", "0,0,0"], "three numbers"),
+        (vec!["--eye", "0,0,1", "--target", "0,0,0", "--fov", "180"], "between 0 and 180"),
+        (vec!["--eye", "0,0,1", "--target", "0,0,0", "--fov", "0"], "between 0 and 180"),
+        (vec!["--eye", "0,0,1", "--target", "0,0,0", "--fov", "nan"], "between 0 and 180"),
+        (vec!["--height", "0"], "--height"),
+        (vec!["--height", "1000000"], "--height"),
+        (vec!["--aa", "-1"], "--aa"),
+        (vec!["--time", "3"], "for the methods paths and samples"),
+        (vec!["--compare", "paths,paths"], "compared to itself"),
+        (vec!["two_rooms.glb", "--to", "one.png"], "--to names one picture"),
+    ] {
+        let run = luxel(&[vec!["render", "cornell.glb"], args.clone()].concat(), folder.path()).ended(2);
+        assert!(run.stderr.contains(expected), "{args:?}: {}", run.stderr);
+    }
+    let big = ["render", "cornell.glb", "--width", "16000", "--height", "16000", "--json"];
+    assert!(event(&luxel(&big, folder.path()).ended(2), "usage")["error"].as_str().unwrap().contains("too large"));
+    // What only the scene can tell fails the scene.
+    let run = render(&["cornell.glb", "--camera", "roof"], folder.path()).ended(1);
+    assert!(run.stderr.contains("there is no camera \"roof\""), "{}", run.stderr);
+    assert_eq!(files(folder.path()).into_keys().collect::<Vec<_>>(), ["cornell.glb", "two_rooms.glb"]);
+}
+
+#[test]
+fn scenes_with_nothing_in_them_are_pictures_of_nothing() {
+    let folder = folder(&[]);
+    let write = |name: &str, text: &str| std::fs::write(folder.path().join(name), text).unwrap();
+    write("empty.gltf", r#"{"asset":{"version":"2.0"}}"#);
+    let run = render(&["empty.gltf", "--json"], folder.path()).ended(0);
+    assert!(event(&run, "rendered")["outputs"].as_array().unwrap().len() == 2);
+    let (_, pixels) = radiance(&folder.path().join("baked/empty.render.exr"));
+    assert!(pixels.iter().all(|p| *p == Vec3::ZERO));
+    // Under a sky, it is what is seen.
+    render(&["empty.gltf", "--sky", "1,2,3", "--method", "paths", "--paths", "4"], folder.path()).ended(0);
+    let (_, pixels) = radiance(&folder.path().join("baked/empty.render.exr"));
+    assert!(pixels.iter().all(|p| *p == Vec3::new(1.0, 2.0, 3.0)));
+}
+
+#[test]
+fn folders_are_searched_and_a_scene_that_fails_stops_no_other() {
+    let folder = folder(&["cornell.glb"]);
+    std::fs::write(folder.path().join("broken.glb"), b"glTF but not for long").unwrap();
+    let run = render(&[".", "--method", "lookup", "--out", "pictures", "--aa", "off"], folder.path()).ended(1);
+    assert!(run.stderr.contains("broken.glb") && run.stderr.contains("1 of 2 scenes failed"), "{}", run.stderr);
+    let pictures: Vec<String> = files(&folder.path().join("pictures")).into_keys().collect();
+    assert_eq!(pictures, ["cornell.render.exr", "cornell.render.png"]);
+}
+
+#[test]
+fn every_event_and_field_is_in_the_help() {
+    let folder = folder(&["cornell.glb"]);
+    let help = luxel(&["render", "--help"], folder.path()).ended(0).stdout;
+    let mut seen: BTreeMap<String, Value> = BTreeMap::new();
+    let short = ["--method", "paths", "--paths", "4", "--progressive", "--json", "--height", "12"];
+    for args in [&short[..], &["--compare", "paths,lookup", "--paths", "2", "--json", "--height", "12"]] {
+        let run = render(&[&["cornell.glb"], args].concat(), folder.path()).ended(0);
+        seen.extend(events(&run).into_iter().map(|e| (e["event"].as_str().unwrap().to_owned(), e)));
+    }
+    assert!(["pass", "rendered", "compared", "done"].iter().all(|name| seen.contains_key(*name)));
+    let listed = help.split("Events of --json").nth(1).unwrap();
+    for (name, event) in seen {
+        assert!(listed.contains(&name), "{name}");
+        let fields = event
+            .as_object()
+            .unwrap()
+            .keys()
+            .filter(|key| !["event", "stage", "total", "done"].contains(&key.as_str()));
+        for field in fields {
+            assert!(listed.contains(field.as_str()), "{name}: {field}");
+        }
+    }
+}
