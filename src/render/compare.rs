@@ -35,7 +35,7 @@ pub struct Difference {
 /// The difference of `picture` to `other`, which are of one size; nothing where `other` reflects no light.
 pub fn difference(picture: &Picture, other: &Picture) -> Difference {
     let mean = other.mean_reflected();
-    if !(mean > 0.0) {
+    if mean.is_nan() || mean <= 0.0 {
         return Difference::default();
     }
     let mut sizes: Vec<f32> = errors(picture, other, mean).map(f32::abs).collect();
