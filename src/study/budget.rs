@@ -63,7 +63,7 @@ impl Choice {
 /// The lowest rung whose error is below `target` (a share of the mean irradiance).
 ///
 /// # Errors
-/// As a bake.
+/// As a bake, and for a target below [`LEAST`].
 pub fn for_error(
     scene: &Scene,
     base: &Settings,
@@ -71,6 +71,14 @@ pub fn for_error(
     store: Option<&Store>,
     progress: &dyn Progress,
 ) -> Result<Choice, Error> {
+    if target < LEAST {
+        let what = format!(
+            "an error of {} % cannot be promised: below {} % it is not told from the noise of the reference",
+            100.0 * target,
+            100.0 * LEAST
+        );
+        return Err(Error::Target { what });
+    }
     climb(scene, base, (&format!("error {target}"), store), progress, |point, _| {
         if point.score.rmse_high <= target { Verdict::Enough } else { Verdict::Higher { will_do: false } }
     })
