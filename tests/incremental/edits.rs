@@ -349,7 +349,7 @@ fn change_image(level: &mut Level, random: &mut Random) -> String {
 }
 
 /// Settings with values, all cheap.
-pub const SETTINGS: [(&str, &[&str]); 36] = [
+pub const SETTINGS: [(&str, &[&str]); 37] = [
     ("preset", &["\"draft\"", "\"medium\""]),
     ("size", &["32", "48"]),
     ("texel_density", &["\"auto\"", "6"]),
