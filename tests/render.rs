@@ -145,7 +145,7 @@ fn what_cannot_be_pictured_is_told_before_anything_is_done() {
         (vec!["--eye", "0,0,1", "--target", "0,0,0", "--fov", "nan"], "between 0 and 180"),
         (vec!["--height", "0"], "--height"),
         (vec!["--height", "1000000"], "--height"),
-        (vec!["--aa", "-1"], "--aa"),
+        (vec!["--aa", "0"], "1 to 256"),
         (vec!["--time", "3"], "for the methods paths and samples"),
         (vec!["--compare", "paths,paths"], "compared to itself"),
         (vec!["two_rooms.glb", "--to", "one.png"], "--to names one picture"),
