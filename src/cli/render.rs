@@ -197,21 +197,13 @@ impl Scene<'_> {
 
     /// Pictures by several methods on one sheet.
     fn compare(&self, methods: &[Chosen], against: usize) -> Result<(), Error> {
-        let mut solution = None;
         let mut trials = Vec::new();
         for chosen in methods {
             let way = chosen.way(chosen.draws);
-            let mut seconds = 0.0;
-            if way.rests_on_solution() {
-                // Made once, and counted for every method that needs it.
-                seconds += match solution {
-                    Some(seconds) => seconds,
-                    None => *solution.insert(timed(|| self.studio.solve(self.reporter))?.1),
-                };
-            }
+            // The solution is made once, and counted for every method that needs it.
+            let solution = if way.rests_on_solution() { self.studio.solve(self.reporter)? } else { 0.0 };
             let (picture, own) = timed(|| self.studio.picture(way, 0, self.reporter))?;
-            seconds += own;
-            trials.push(Trial { name: chosen.label(), picture, seconds });
+            trials.push(Trial { name: chosen.label(), picture, seconds: solution + own });
         }
         let tone = self.studio.tone(&trials[against].picture, self.reporter)?;
         let image = sheet(&trials, against, &tone, self.reporter)?;

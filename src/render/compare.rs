@@ -181,7 +181,9 @@ fn legend(sheet: &mut Image8, (left, top): (u32, u32), (width, height): (u32, u3
     let top = top + LINE / 2;
     paste(sheet, (left, top), &Image8 { texels, ..bar });
     let percent = 100.0 * f64::from(scale);
-    for (share, sign) in [(0.0f64, "+"), (0.25, "+"), (0.5, ""), (0.75, "-"), (1.0, "-")] {
+    let marks = [(0.0f64, "+"), (0.25, "+"), (0.5, ""), (0.75, "-"), (1.0, "-")];
+    // In a low picture only every other one has room.
+    for (share, sign) in marks.into_iter().step_by(if bar.height < 4 * LINE { 2 } else { 1 }) {
         // Round in decimal, as the scale was chosen.
         let value = (1e4 * percent * (1.0 - 2.0 * share).abs()).round() / 1e4;
         let y = top + (share * f64::from(bar.height)) as u32;

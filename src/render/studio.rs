@@ -129,12 +129,13 @@ impl Studio<'_> {
         self.lab.scene()
     }
 
-    /// Makes the cached voxel solution ready, on which several methods rest.
+    /// Makes the cached voxel solution ready, on which several methods rest; returns how long that took, whenever it was
+    /// [s].
     ///
     /// # Errors
     /// As a bake.
-    pub fn solve(&self, progress: &dyn Progress) -> Result<(), Error> {
-        self.lab.cache(progress).map(drop)
+    pub fn solve(&self, progress: &dyn Progress) -> Result<f64, Error> {
+        Ok(self.lab.cache(progress)?.cost.seconds)
     }
 
     /// Takes a picture. Pictures of several passes have samples and noise of their own, to be blended.
