@@ -7,7 +7,7 @@
 
 use glam::{DVec3, IVec3};
 
-use super::{cluster::Cluster, polygon::Polygon};
+use super::{cluster::Cluster, polygon::Polygon, walls::Wall};
 
 /// Above this, what is missing is rounding and curvature.
 const FULL: f64 = 0.99;
@@ -15,8 +15,8 @@ const FULL: f64 = 0.99;
 /// How far, in voxel edges, a centroid has to lie in front of another surfel to be cut by it.
 const IN_FRONT: f64 = 1e-3;
 
-/// φ of cluster `i` of a voxel, in (0, 1].
-pub fn fraction(voxel: IVec3, clusters: &[Cluster], i: usize) -> f64 {
+/// φ of cluster `i` of a voxel, in (0, 1]. It lies on one side of each of the walls that cross it.
+pub fn fraction(voxel: IVec3, clusters: &[Cluster], i: usize, walls: &[Wall]) -> f64 {
     let me = &clusters[i];
     let mut plane = square(me.centroid, me.normal);
     let lo = voxel.as_dvec3();
@@ -27,6 +27,10 @@ pub fn fraction(voxel: IVec3, clusters: &[Cluster], i: usize) -> f64 {
         if j != i && other.normal.dot(me.centroid - other.centroid) > IN_FRONT {
             plane = plane.in_front(other.centroid, other.normal);
         }
+    }
+    for (k, wall) in walls.iter().enumerate().filter(|(_, wall)| wall.crosses(me.normal)) {
+        let side = if me.sides >> k & 1 == 1 { wall.normal } else { -wall.normal };
+        plane = plane.in_front(wall.point, side);
     }
     match plane.area_and_centroid() {
         Some((area, _)) if me.area < FULL * area => me.area / area,

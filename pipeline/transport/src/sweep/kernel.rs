@@ -27,6 +27,9 @@ const BLACK: u32 = 2;
 /// Set on a receiver: the line went through its surface.
 pub(super) const BLOCKED: u32 = 0x8000_0000;
 
+/// Depth between two layers of a voxel: more than the voxel has.
+const APART: f32 = 4.0;
+
 /// Surfels of a patch that are looked at in one go.
 const CHUNK: usize = 64;
 
@@ -316,6 +319,9 @@ impl<S: Sample> Ray<'_, S> {
         let mut i = 0;
         while i < faces.len() {
             if self.copy.shares_voxel(start + i + 1) {
+                if self.copy.layer(start + i).is_divided() {
+                    self.set_apart(start + i, &mut faces[i..]);
+                }
                 let voxel = self.by_depth(start + i, &faces[i..]);
                 for &k in &voxel.surfels[..voxel.len] {
                     let at = i + k as usize;
@@ -336,6 +342,17 @@ impl<S: Sample> Ray<'_, S> {
     #[inline(always)]
     fn depth(&self, i: usize) -> f32 {
         dot(&self.copy.centroid(i), &self.lines.sigma)
+    }
+
+    /// Moves the layers of a divided voxel apart, so that depth sorts them in the order in which the line meets them.
+    #[cold]
+    fn set_apart(&self, first: usize, placed: &mut [Placed]) {
+        let count = 1 + (first..).take_while(|&i| self.copy.shares_voxel(i)).count();
+        let layer = |k: usize| self.copy.layer(first + k);
+        let along = (0..count).find(|&k| layer(k).is_wall()).map_or(0.0, |k| placed[k].face.along);
+        for (k, placed) in placed[..count].iter_mut().enumerate() {
+            placed.depth += (APART * f32::from(layer(k).number())).copysign(along);
+        }
     }
 
     /// Sorts a voxel of three and more by depth.

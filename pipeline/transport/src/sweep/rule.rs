@@ -28,6 +28,8 @@ const PLANE: f32 = 0.4;
 const COPLANAR: f32 = 0.5;
 /// A receiver this little in front of an emitter's plane lies behind it.
 const BEHIND: f32 = 1e-4;
+/// An emitter this much behind a receiver's plane is on the other side of it.
+const HIDDEN: f32 = 0.02;
 
 impl<S: Sample> Ray<'_, S> {
     /// Whether the surfel fills the tube of this line: the same answer for all surfels of a tube with equal fill.
@@ -91,7 +93,7 @@ impl<S: Sample> Ray<'_, S> {
         let cell = &mut table.cells[stop.at as usize];
         let Cell { emitter, receiver } = *cell;
         if receiver == self.none {
-            if slice.thin.has(emitter) && self.is_behind(emitter, stop.surfel, slice) {
+            if slice.thin.has(emitter) && self.is_apart(emitter, stop.surfel, slice) {
                 return self.look_through(stop, face, blocks, slice, &mut table.older[stop.at as usize]);
             }
             cell.receiver = stop.surfel | blocks;
@@ -111,8 +113,11 @@ impl<S: Sample> Ray<'_, S> {
         if slice.thin.has(last) { self.unknown } else { self.inside }
     }
 
-    fn is_behind(&self, emitter: u32, receiver: u32, slice: &Slice) -> bool {
-        dot(self.copy.normal(emitter as usize), &self.way(emitter, receiver, slice)) <= BEHIND
+    /// One of the two lies behind the plane of the other.
+    fn is_apart(&self, emitter: u32, receiver: u32, slice: &Slice) -> bool {
+        let way = self.way(emitter, receiver, slice);
+        let (e, r) = (self.copy.normal(emitter as usize), self.copy.normal(receiver as usize));
+        dot(e, &way) <= BEHIND || dot(r, &way) > HIDDEN
     }
 
     /// The receiver lies behind the emitter's plane: a thin wall or a convex edge, of which it is the near side. It
@@ -121,7 +126,9 @@ impl<S: Sample> Ray<'_, S> {
         let (last, blocked) = (older.receiver & !BLOCKED, older.receiver & BLOCKED);
         older.receiver = stop.surfel | blocked | blocks;
         let open = blocked == 0 || self.shares(last, stop.surfel, face, slice);
-        if open { older.emitter } else { self.unknown }
+        let from = older.emitter;
+        let hidden = slice.thin.has(from) && self.is_apart(from, stop.surfel, slice);
+        if open && !hidden { from } else { self.unknown }
     }
 
     /// Two receivers of a line belong to one surface, or to surfaces that touch without hiding each other.
