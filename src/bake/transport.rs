@@ -286,7 +286,9 @@ impl Transport {
             } else {
                 let exact = |direct: &dyn Gather| Ok(shoot::exact(geometry, surfels, direct, points, progress)?);
                 let visibility = if self.is_coarse { Visibility::Rays } else { Visibility::Shafts };
-                direct::with(rays, &emitters, settings, visibility, progress, exact)?
+                let mut shot = direct::with(rays, &emitters, settings, visibility, progress, exact)?;
+                shot.rays += shoot::close(rays, &emitters, surfels, points, &mut shot.irradiance, progress)?;
+                shot
             };
             counters.insert("primary_photons".into(), shot.primary_photons);
             counters.insert("direct_photons".into(), shot.direct_photons);

@@ -78,9 +78,10 @@ impl Stage {
     /// stored light of an older version is then made anew instead of being taken for this one's.
     pub fn version(self) -> u32 {
         match self {
-            Self::Surfels | Self::Propagate => 4,
-            Self::Unwrap | Self::Shoot | Self::Direct | Self::Gather | Self::Finish | Self::Export => 3,
-            Self::Refresh | Self::Sky | Self::Preview => 2,
+            Self::Surfels | Self::Propagate => 5,
+            Self::Unwrap | Self::Shoot => 4,
+            Self::Direct | Self::Gather | Self::Finish | Self::Export | Self::Refresh => 3,
+            Self::Sky | Self::Preview => 2,
             Self::Import | Self::Rays | Self::Cache | Self::Clear => 1,
         }
     }

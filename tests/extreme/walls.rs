@@ -5,7 +5,10 @@ use std::f64::consts::FRAC_PI_6;
 
 use glam::{DAffine3, DVec3, Vec3};
 use luxel::settings::Settings;
-use luxel_scene::{Material, Scene, build::{Builder, transformed}};
+use luxel_scene::{
+    Material, Scene,
+    build::{Builder, transformed},
+};
 
 use crate::kit::*;
 use crate::support::*;
@@ -44,7 +47,8 @@ fn sheet() -> Scene {
     let mut b = Builder::new("shell with a sheet");
     let wall = b.matte(Vec3::splat(0.7));
     b.cuboid("shell", Vec3::ZERO, Vec3::new(2.0, 1.2, 1.5), wall, true);
-    let both = b.material(Material { double_sided: true, base_color: Vec3::splat(0.7).extend(1.0), ..Material::default() });
+    let both =
+        b.material(Material { double_sided: true, base_color: Vec3::splat(0.7).extend(1.0), ..Material::default() });
     b.quad("sheet", Vec3::X, Vec3::Y * 1.2, Vec3::Z * 1.5, both);
     lamp(&mut b);
     b.build()
@@ -60,11 +64,7 @@ fn assert_no_leak(name: &str, upright: &Scene, transform: DAffine3, settings: &S
     assert!(dark.len() > 300 && bright.len() > 300, "{name}: {} {}", dark.len(), bright.len());
     let lightest = dark.iter().map(|&i| f64::from(value(&lit, i).element_sum()) / 3.0).fold(0.0, f64::max);
     let (dark, bright) = (mean(&lit, &dark), mean(&lit, &bright));
-    println!(
-        "{name}: leak {:.2e} of {bright:.2} lux, the lightest texel {:.2e}",
-        dark / bright,
-        lightest / bright
-    );
+    println!("{name}: leak {:.2e} of {bright:.2} lux, the lightest texel {:.2e}", dark / bright, lightest / bright);
     assert!(bright > 1.0, "{name}: {bright}");
     assert!(dark <= LEAK * bright, "{name}: {dark} of {bright}");
 }
@@ -78,7 +78,12 @@ fn turns() -> [(&'static str, DAffine3); 2] {
 fn boxes_a_millimetre_apart() {
     for (how, transform) in turns() {
         for (budget, side) in [(25_000, 64), (100_000, 96)] {
-            assert_no_leak(&format!("boxes 1 mm apart, {how}, {budget}"), &boxes(1e-3), transform, &sized(side, budget));
+            assert_no_leak(
+                &format!("boxes 1 mm apart, {how}, {budget}"),
+                &boxes(1e-3),
+                transform,
+                &sized(side, budget),
+            );
         }
     }
 }

@@ -95,7 +95,7 @@ fn by_place(surfels: &Surfels) -> Vec<u32> {
 
 /// The surfel's own point, and its neighbours where they lie on the same triangle, in the same voxel, and on the same
 /// side of the walls there.
-fn receivers(geometry: &Geometry, surfels: &Surfels, number: usize, points: u32) -> [Option<Receiver>; 5] {
+pub(super) fn receivers(geometry: &Geometry, surfels: &Surfels, number: usize, points: u32) -> [Option<Receiver>; 5] {
     let (grid, surfel) = (&surfels.grid, &surfels.list[number]);
     let (center, normal) = surfel.place(geometry);
     let at = |position: Vec3, i: u64| Receiver {

@@ -90,7 +90,9 @@ impl Cluster {
         self.coherence > FLAT
     }
 
-    fn patch(&self, grid: &Grid, voxel: IVec3, fill: f64) -> Patch {
+    /// `whole` is the area of its plane within the voxel, for a flat cluster: faces that overlap in one plane have more,
+    /// but only one of them is seen.
+    fn patch(&self, grid: &Grid, voxel: IVec3, fill: f64, whole: f64) -> Patch {
         let edge = f64::from(grid.edge);
         let lo = voxel.as_dvec3();
         let centroid = self.centroid.clamp(lo, lo + 1.0);
@@ -98,7 +100,7 @@ impl Cluster {
             voxel,
             centroid: (grid.origin.as_dvec3() + edge * centroid).as_vec3(),
             normal: self.normal.as_vec3(),
-            area: (self.covered * edge * edge) as f32,
+            area: (self.covered * (whole / self.area).min(1.0) * edge * edge) as f32,
             albedo: (self.albedo / self.covered).as_vec3(),
             fill: (fill * self.opaque / self.area) as f32,
             triangle: self.triangle,
@@ -120,7 +122,8 @@ pub fn surfels(geometry: &Geometry, grid: &Grid, fragments: &[Fragment], mut out
     }
     for (i, cluster) in clusters.iter().enumerate() {
         let emission = (cluster.emission / cluster.covered).as_vec3();
-        out(cluster.patch(grid, voxel, fill::fraction(voxel, &clusters, i, &walls)), emission);
+        let whole = if cluster.is_flat() { fill::whole(voxel, cluster) } else { f64::INFINITY };
+        out(cluster.patch(grid, voxel, fill::fraction(voxel, &clusters, i, &walls), whole), emission);
     }
 }
 

@@ -18,11 +18,7 @@ const IN_FRONT: f64 = 1e-3;
 /// φ of cluster `i` of a voxel, in (0, 1]. It lies on one side of each of the walls that cross it.
 pub fn fraction(voxel: IVec3, clusters: &[Cluster], i: usize, walls: &[Wall]) -> f64 {
     let me = &clusters[i];
-    let mut plane = square(me.centroid, me.normal);
-    let lo = voxel.as_dvec3();
-    for axis in 0..3 {
-        plane = plane.split(axis, lo[axis]).1.split(axis, lo[axis] + 1.0).0;
-    }
+    let mut plane = section(voxel, me);
     for (j, other) in clusters.iter().enumerate() {
         if j != i && other.normal.dot(me.centroid - other.centroid) > IN_FRONT {
             plane = plane.in_front(other.centroid, other.normal);
@@ -36,6 +32,21 @@ pub fn fraction(voxel: IVec3, clusters: &[Cluster], i: usize, walls: &[Wall]) ->
         Some((area, _)) if me.area < FULL * area => me.area / area,
         _ => 1.0,
     }
+}
+
+/// Area of the plane of a cluster within its voxel, with a margin for rounding and for what curvature adds.
+pub fn whole(voxel: IVec3, cluster: &Cluster) -> f64 {
+    section(voxel, cluster).area_and_centroid().map_or(f64::INFINITY, |(area, _)| area / FULL)
+}
+
+/// The plane of a cluster within its voxel.
+fn section(voxel: IVec3, cluster: &Cluster) -> Polygon {
+    let mut plane = square(cluster.centroid, cluster.normal);
+    let lo = voxel.as_dvec3();
+    for axis in 0..3 {
+        plane = plane.split(axis, lo[axis]).1.split(axis, lo[axis] + 1.0).0;
+    }
+    plane
 }
 
 /// A square of the plane (point, normal) that covers a voxel around the point.

@@ -126,6 +126,8 @@ pub(super) struct Stop {
     /// Cell of its line.
     pub(super) at: u32,
     pub(super) center_height: f32,
+    /// It is a face of the wall that divides its voxel.
+    pub(super) divides: bool,
 }
 
 /// Adds one direction to the sums, part by part, each when it is its turn.
@@ -304,7 +306,8 @@ impl<S: Sample> Ray<'_, S> {
     #[inline(always)]
     fn stop(&self, surfel: u32, slice: &Slice) -> Stop {
         let i = surfel as usize;
-        Stop { surfel, at: self.lines.cell(self.copy.key(i), slice), center_height: self.copy.center_heights[i] }
+        let (at, center_height) = (self.lines.cell(self.copy.key(i), slice), self.copy.center_heights[i]);
+        Stop { surfel, at, center_height, divides: self.copy.layer(i).is_face() }
     }
 
     /// The voxels of several surfels. What depends on a surfel and the direction alone is worked out first, without a

@@ -48,6 +48,11 @@ impl Layer {
         self.0 & WALL != 0
     }
 
+    /// The surfel is a face of the wall.
+    pub fn is_face(self) -> bool {
+        self.is_divided() && self.number() % 2 == 1
+    }
+
     pub fn number(self) -> u8 {
         self.0 & MOST
     }
@@ -103,5 +108,6 @@ fn number(mates: &[Surfel], wall: &Surfel, s: &Surfel, edge: f32) -> u8 {
     let margin = if is_face { ON_PLANE } else { 0.0 };
     let faces = mates.iter().filter(|m| !is_across(wall, m));
     let below = faces.filter(|m| along(m) < along(s) - margin).count() as u8;
-    (2 * below + u8::from(is_face)).min(MOST)
+    // The highest number stays odd for faces and even for the rest.
+    if is_face { (2 * below + 1).min(MOST) } else { (2 * below).min(MOST - 1) }
 }

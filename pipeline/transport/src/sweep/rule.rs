@@ -11,8 +11,11 @@
 //!   and back of an object agree on);
 //! - a receiver *blocks* only if the next voxel of the line lies behind its plane: a line that leaves the voxels of
 //!   a surface on the front side has not crossed it;
-//! - a receiver right behind the plane of the emitter that the line carries has not seen it: it belongs to the other
-//!   side of a thin wall and takes what the line carried before;
+//! - a receiver right behind the plane of the emitter that the line carries has not seen it, nor has one whose own plane
+//!   has that emitter behind it: it belongs to the other side of a thin wall and takes what the line carried before, if
+//!   that is not hidden likewise;
+//! - the faces of a wall that divides its voxel (`layers.rs`) always end what comes to them: there is something on both
+//!   sides, and the line goes from the one to the other;
 //! - what no rule can tell is *unknown*: it adds neither light nor weight. Sky is never unknown in an open scene.
 //!
 //! Surfels of one plane need no plane tests: they would pass them. Lengths are in voxels.
@@ -59,7 +62,7 @@ impl<S: Sample> Ray<'_, S> {
         }
         let crossed = receiver & BLOCKED != 0;
         if emitter != self.unknown && !crossed {
-            let brushes = stop.center_height + face.step > 0.0;
+            let brushes = !stop.divides && stop.center_height + face.step > 0.0;
             if brushes || !self.fills(stop) {
                 return;
             }
@@ -88,7 +91,7 @@ impl<S: Sample> Ray<'_, S> {
     /// The line arrives at a surface on its front; returns where its light comes from.
     #[inline(never)]
     pub(super) fn receive(&self, stop: Stop, face: Face, slice: &Slice, table: &mut Table) -> u32 {
-        let behind = stop.center_height + face.step < 0.0;
+        let behind = stop.divides || stop.center_height + face.step < 0.0;
         let blocks = if behind && self.fills(stop) { BLOCKED } else { 0 };
         let cell = &mut table.cells[stop.at as usize];
         let Cell { emitter, receiver } = *cell;
