@@ -12,7 +12,7 @@ use luxel_transport::{
     octree::{self, Octree},
     rays::Rays,
     shoot::{self, PhotonSettings},
-    solve::{SolveSettings, is_closed, solve},
+    solve::{SolveSettings, is_closed, refine, solve},
     surfel::{AreaRule, Resolution, Solution, Surfels, VoxelSettings},
     sweep,
 };
@@ -202,9 +202,16 @@ impl Transport {
             })?;
         counted.push((Stage::Propagate, journal.last(Stage::Propagate)));
         let refreshed = journal.run(plan, Stage::Refresh, Some(count), |progress, counters| {
-            let field = Field::build(rays, &surfels, &solution, progress)?;
+            let mut refreshed = {
+                let field = Field::build(rays, &surfels, &solution, progress)?;
+                refresh(&field, settings.refresh.0, &radiance, progress)?
+            };
+            let closed = *closed.get_or_insert_with(|| is_known_closed(rays, &surfels, settings));
+            let how = SolveSettings { closed, ..solve_settings(settings) };
+            let discrete = refine(&surfels, &solution.indirect, &mut refreshed.indirect, &how, progress)?;
             counters.insert("continuous_rays".into(), count * u64::from(settings.refresh.0));
-            Ok(refresh(&field, settings.refresh.0, &radiance, progress)?)
+            counters.insert("discrete_rays".into(), discrete);
+            Ok(refreshed)
         })?;
         if let Some(refreshed) = refreshed {
             solution = refreshed;

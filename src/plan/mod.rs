@@ -79,8 +79,8 @@ impl Stage {
     pub fn version(self) -> u32 {
         match self {
             Self::Surfels | Self::Propagate => 5,
-            Self::Unwrap | Self::Shoot => 4,
-            Self::Direct | Self::Gather | Self::Finish | Self::Export | Self::Refresh => 3,
+            Self::Unwrap | Self::Shoot | Self::Direct => 4,
+            Self::Gather | Self::Finish | Self::Export | Self::Refresh => 3,
             Self::Sky | Self::Preview => 2,
             Self::Import | Self::Rays | Self::Cache | Self::Clear => 1,
         }

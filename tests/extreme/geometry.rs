@@ -80,7 +80,7 @@ fn needles(b: &mut Builder, o: Vec3, a: Vec3, c: Vec3, count: u32, material: usi
     let mut positions = vec![o, o + a];
     let mut at = 0.0f32;
     for k in 1..=count {
-        at = (at + [1e-6, 0.09, 1e-4, 0.03][k as usize % 4]).min(1.0);
+        at = (at + [1e-6, 0.2, 1e-4, 0.06][k as usize % 4]).min(1.0);
         positions.push(o + a + c * if k == count { 1.0 } else { at });
     }
     positions.push(o + c);
@@ -103,7 +103,7 @@ fn walls(b: &mut Builder, material: usize, wall: impl Fn(&mut Builder, Vec3, Vec
 #[test]
 fn needles_and_triangles_without_area() {
     let (scene, exact) = furnace("needles", 0.8, |b, wall| {
-        walls(b, wall, |b, o, a, c, material| needles(b, o, a, c, 40, material));
+        walls(b, wall, |b, o, a, c, material| needles(b, o, a, c, 14, material));
     });
     let lit = bake(&scene, &coarse());
     assert_within("needles", &scene, &lit, 0.005, |_| exact);

@@ -81,6 +81,11 @@ impl<'a> Field<'a> {
         Ok(Self { rays, surfels, solution, index: SurfelIndex::build(surfels, progress)?, uniform })
     }
 
+    /// The same surfels under another light, which has been checked.
+    pub(super) fn under<'b>(&'b self, solution: &'b Solution) -> Field<'b> {
+        Field { solution, index: self.index.clone(), uniform: self.uniform.clone(), ..*self }
+    }
+
     /// Follows a ray from `origin` along `direction` (unit) through all veils, and shows every surface on its way.
     /// Returns the share of light that comes in from beyond all surfaces, and the rays spent.
     #[inline]

@@ -26,6 +26,7 @@ struct Brick {
 }
 
 /// Finds surfels by voxel.
+#[derive(Clone)]
 pub struct SurfelIndex<'a> {
     bricks: Vec<Brick>,
     /// The first surfel of each occupied voxel, by its number; the others follow it.

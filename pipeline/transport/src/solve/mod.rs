@@ -20,6 +20,7 @@
 //! Irradiances in lux. Everything is linear in the light but for the decision when to stop.
 
 mod enclosure;
+mod refine;
 pub mod stiff;
 
 use std::borrow::Cow;
@@ -36,6 +37,7 @@ use crate::{
 };
 
 pub use enclosure::is_closed;
+pub use refine::refine;
 
 /// How light is propagated.
 #[derive(Clone, Copy, Debug, PartialEq)]
