@@ -106,7 +106,7 @@ fn lamps_of_all_strengths_in_one_room() {
 #[test]
 fn a_candle_beside_a_thousand_million_candles_keeps_its_room_dim() {
     // Six closed rooms side by side, 0.5 apart, each with a lamp a thousand times as strong as the last: no room may
-    // receive anything of a brighter one, down to 10⁻¹⁵ of it.
+    // receive anything that counts of a brighter one.
     let size = DVec3::new(2.0, 1.5, 2.0);
     let mut b = Builder::new("rooms");
     let place = |k: i32| DVec3::new(2.5 * f64::from(k), 0.0, 0.0);

@@ -186,8 +186,9 @@ fn eliminated(columns: &[Vec<f64>], rho: f64, e: &[f64]) -> Vec<f64> {
 
 #[test]
 fn the_stiff_solver_against_elimination_in_f64() {
-    // Light on one side of a tilted room; up to ρ = 0.99999 the solver in f32 is within its tolerance of 10⁻³, and takes
-    // no more steps for it than at 0.9 but for a few.
+    // Light on one side of a tilted room, tolerance 10⁻³. f32 rounds the sums of rows by some 10⁻⁷, in the sweep otherwise
+    // than in the matrix, and what a row has too little or too much counts 1/(1 − ρ) times: above ρ = 0.999, the largest
+    // albedo of a scene, that is what limits the answer.
     let scene = room(0.5);
     let geometry = Geometry::new(&scene);
     let surfels = voxelized(&geometry, 900);
@@ -206,6 +207,7 @@ fn the_stiff_solver_against_elimination_in_f64() {
         let off = total(&|i| (f64::from(rest.radiosity[i].x) - exact[i]).abs()) / total(&|i| exact[i]);
         println!("ρ {rho}: {} steps, off by {error:+.1e} in all, {off:.1e} in the mean", rest.steps);
         assert!(rest.steps <= 20, "{rho}: {} steps", rest.steps);
-        assert!(error.abs() <= 2e-3 && off <= 5e-3, "{rho}: {error} {off}");
+        let rounding = 3e-7 / (1.0 - q);
+        assert!(error.abs() <= 1e-3 + rounding && off <= 1e-3 + rounding, "{rho}: {error} {off}");
     }
 }

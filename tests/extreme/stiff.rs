@@ -383,22 +383,19 @@ fn the_energy_of_a_labyrinth_is_accounted_for() {
 #[test]
 fn diag_l() {
     use luxel::settings::Only;
+    use luxel_transport::gather::{Field, Lightcuts};
     let (scene, exact) = furnace("L", 0.5, l_room);
-    for budget in [12_000, 25_000, 100_000] {
-        let lit = bake(&scene, &Settings { only: Only::Indirect, ..sized(64, budget) });
+    let geometry = Geometry::new(&scene);
+    let surfels = voxelized(&geometry, 12_000);
+    let rays = Rays::new(&geometry);
+    let n = surfels.list.len();
+    let sol = luxel_transport::surfel::Solution { direct: vec![Rgb::ONE; n], indirect: vec![Rgb::ONE; n] };
+    let field = Field::new(&rays, &surfels, &sol).unwrap();
+    println!("covered {}", Lightcuts::new(&field, Default::default()).covered());
+    for (e, l) in [(0.017, 1000), (0.005, 1000), (0.005, 4000)] {
+        let lit = bake(&scene, &Settings { only: Only::Indirect, cut_error: luxel::settings::value::Tolerance(e), cut_limit: Samples(l), ..coarse() });
         let texels = valid_texels(&lit, |_| true);
         let (s, worst, place) = score_closed_form(&scene, &lit, &texels, |_| 0.5 * exact);
-        println!("{budget} {s:?} worst {worst} at {place}");
-        let geometry = Geometry::new(&scene);
-        let surfels = voxelized(&geometry, budget);
-        let rays = Rays::new(&geometry);
-        let emitters = luxel_transport::lights::Emitters::new(&geometry);
-        let direct = luxel_transport::direct::Direct::new(&rays, &emitters, Default::default());
-        let shot = luxel_transport::shoot::exact(&geometry, &surfels, &direct, 5, &Silent).unwrap();
-        let mut bad: Vec<(f32, usize)> = (0..surfels.list.len()).map(|i| (shot.irradiance[i].x / (PI as f32 * GLOW) - 1.0, i)).collect();
-        let mean = bad.iter().map(|(e, i)| (*e * surfels.list[*i].area) as f64).sum::<f64>() / surfels.area();
-        bad.sort_by(|a, b| b.0.abs().total_cmp(&a.0.abs()));
-        println!("   mean {mean:+.2e}");
-        for (e, i) in bad.iter().take(8) { let s = &surfels.list[*i]; println!("   {e:+.4} {:.3} n {:.2} area {:.3}", geometry.frame.world(s.place(&geometry).0), s.normal, s.area / surfels.grid.edge.powi(2)); }
+        println!("{e} {l} {s:?} worst {worst} at {place}");
     }
 }
