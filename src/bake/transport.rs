@@ -398,8 +398,8 @@ mod tests {
         let hash = hasher.finalize().to_hex();
         let versions = STORED.map(|stage| format!("{} {}", stage.name(), stage.version())).join(", ");
         let known = (
-            "surfels 4, shoot 3, propagate 4, refresh 2",
-            "d0824b76628b103564faee07f058bdd7b9384caebcce76154604bf3a165062be",
+            "surfels 5, shoot 4, propagate 5, refresh 3",
+            "fca28b186b2d5657c258e19e336d734d92df34b46629d4b2da8d649340c8fbbe",
         );
         assert_eq!(
             (versions.as_str(), hash.as_str()),

@@ -176,4 +176,17 @@ mod tests {
         assert_ne!(emitters.lamps[0].identity, emitters.lamps[1].identity);
         assert_eq!(emitters.lamps[0].identity, name_hash("lamp"));
     }
+
+    #[test]
+    fn a_panel_that_is_there_twice_shines_once() {
+        let mut b = Builder::new("doubles");
+        let shiny = b.emitter(Vec3::ZERO, Vec3::ONE);
+        b.quad("panel", Vec3::ZERO, Vec3::X, Vec3::Y, shiny);
+        b.quad("double", Vec3::ZERO, Vec3::X, Vec3::Y, shiny);
+        b.quad("back", Vec3::ZERO, Vec3::Y, Vec3::X, shiny);
+        let scene = b.build();
+        let emitters = Emitters::new(&Geometry::new(&scene));
+        let sources: Vec<Source> = emitters.areas.iter().map(|light| light.source).collect();
+        assert_eq!(sources, [Source::Instance(0), Source::Instance(2)]);
+    }
 }

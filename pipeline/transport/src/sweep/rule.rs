@@ -11,9 +11,9 @@
 //!   and back of an object agree on);
 //! - a receiver *blocks* only if the next voxel of the line lies behind its plane: a line that leaves the voxels of
 //!   a surface on the front side has not crossed it;
-//! - a receiver right behind the plane of the emitter that the line carries has not seen it, nor has one whose own plane
-//!   has that emitter behind it: it belongs to the other side of a thin wall and takes what the line carried before, if
-//!   that is not hidden likewise;
+//! - a receiver right behind the plane of the emitter that the line carries has not seen it: it belongs to the other
+//!   side of a thin wall and takes what the line carried before; nor has it seen an emitter at the foot of a wall (in a
+//!   voxel that it divides, see `layers.rs`) that lies behind the receiver's own plane;
 //! - the faces of a wall that divides its voxel (`layers.rs`) always end what comes to them: there is something on both
 //!   sides, and the line goes from the one to the other;
 //! - what no rule can tell is *unknown*: it adds neither light nor weight. Sky is never unknown in an open scene.
@@ -31,7 +31,7 @@ const PLANE: f32 = 0.4;
 const COPLANAR: f32 = 0.5;
 /// A receiver this little in front of an emitter's plane lies behind it.
 const BEHIND: f32 = 1e-4;
-/// An emitter this much behind a receiver's plane is on the other side of it.
+/// An emitter at a wall's foot that lies this much behind a receiver's plane is on the other side of it.
 const HIDDEN: f32 = 0.02;
 
 impl<S: Sample> Ray<'_, S> {
@@ -116,11 +116,11 @@ impl<S: Sample> Ray<'_, S> {
         if slice.thin.has(last) { self.unknown } else { self.inside }
     }
 
-    /// One of the two lies behind the plane of the other.
+    /// The receiver lies behind the emitter's plane, or is in front of a wall behind which the emitter lies.
     fn is_apart(&self, emitter: u32, receiver: u32, slice: &Slice) -> bool {
         let way = self.way(emitter, receiver, slice);
-        let (e, r) = (self.copy.normal(emitter as usize), self.copy.normal(receiver as usize));
-        dot(e, &way) <= BEHIND || dot(r, &way) > HIDDEN
+        let along = |surfel: u32| dot(self.copy.normal(surfel as usize), &way);
+        along(emitter) <= BEHIND || self.copy.layer(emitter as usize).is_divided() && along(receiver) > HIDDEN
     }
 
     /// The receiver lies behind the emitter's plane: a thin wall or a convex edge, of which it is the near side. It
@@ -130,7 +130,8 @@ impl<S: Sample> Ray<'_, S> {
         older.receiver = stop.surfel | blocked | blocks;
         let open = blocked == 0 || self.shares(last, stop.surfel, face, slice);
         let from = older.emitter;
-        let hidden = slice.thin.has(from) && self.is_apart(from, stop.surfel, slice);
+        let divided = slice.thin.has(from) && self.copy.layer(from as usize).is_divided();
+        let hidden = divided && self.is_apart(from, stop.surfel, slice);
         if open && !hidden { from } else { self.unknown }
     }
 
