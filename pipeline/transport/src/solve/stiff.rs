@@ -89,7 +89,7 @@ pub fn solve(
     let mut x: Vec<Rgb> = source.iter().map(|e| *e * (1.0 / (1.0 - q)) as f32).collect();
     let mut history: Vec<Step> = Vec::new();
     let mut last: Option<Iterate> = None;
-    let (mut steps, mut left) = (0, f64::INFINITY);
+    let mut steps = 0;
     loop {
         let mut y = operator(&x)?;
         steps += 1;
@@ -98,8 +98,7 @@ pub fn solve(
         let residual: Vec<Rgb> = (0..x.len()).map(|i| source[i] + reflectance(i) * y[i] - x[i]).collect();
         let remaining = error(surfels, &residual, q);
         let total = before + flux(surfels, |i| y[i]).element_sum() / 3.0;
-        let fell_from = std::mem::replace(&mut left, share(surfels, &residual, &x));
-        if remaining <= tolerance * total || is_rounding(fell_from, left) || steps == MAX_STEPS {
+        if remaining <= tolerance * total || steps == MAX_STEPS {
             return Ok(Rest { irradiance: y, radiosity: x, steps, remaining });
         }
         drop(y);
@@ -114,20 +113,6 @@ pub fn solve(
         x = combine(surfels, &history, &now);
         last = Some(now);
     }
-}
-
-/// Residuals of less than this share of an iterate may be what f32 rounds: about a dozen roundings.
-const ROUNDING: f64 = 1e-6;
-
-/// A residual that was that small before and does not fall any more is rounding: no further step makes it less.
-fn is_rounding(before: f64, now: f64) -> bool {
-    before <= ROUNDING && now > 0.7 * before
-}
-
-/// Σ A·|residual| as a share of Σ A·x.
-fn share(surfels: &Surfels, residual: &[Rgb], x: &[Rgb]) -> f64 {
-    let all = flux(surfels, |i| x[i]).element_sum();
-    if all > 0.0 { flux(surfels, |i| residual[i].abs()).element_sum() / all } else { 0.0 }
 }
 
 /// The share of a residual that may lie in the slow mode although its energy balances: by so much the gather's

@@ -11,7 +11,7 @@ use super::{
 use crate::{Rgb, geometry::Geometry};
 
 /// Fragments whose normals have a larger cosine share a surfel.
-const COSINE: f64 = 0.9;
+pub const COSINE: f64 = 0.9;
 
 /// Surfels of one voxel, at most; further fragments join the surfel that looks most like them. Foliage would
 /// otherwise give dozens, which neither the voxel size nor the sweep can tell apart.

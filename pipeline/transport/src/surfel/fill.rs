@@ -7,7 +7,11 @@
 
 use glam::{DVec3, IVec3};
 
-use super::{cluster::Cluster, polygon::Polygon, walls::Wall};
+use super::{
+    cluster::{COSINE, Cluster},
+    polygon::Polygon,
+    walls::Wall,
+};
 
 /// Above this, what is missing is rounding and curvature.
 const FULL: f64 = 0.99;
@@ -24,8 +28,11 @@ pub fn fraction(voxel: IVec3, clusters: &[Cluster], i: usize, walls: &[Wall]) ->
             plane = plane.in_front(other.centroid, other.normal);
         }
     }
-    for (k, wall) in walls.iter().enumerate().filter(|(_, wall)| wall.crosses(me.normal)) {
-        let side = if me.sides >> k & 1 == 1 { wall.normal } else { -wall.normal };
+    // What goes on behind a wall goes on: only at walls that part a surface does its share of the plane end.
+    let goes_on =
+        |k: usize| clusters.iter().any(|c| c.normal.dot(me.normal) > COSINE && (c.sides ^ me.sides) >> k & 1 == 1);
+    for (_, wall) in walls.iter().enumerate().filter(|(k, wall)| wall.crosses(me.normal) && goes_on(*k)) {
+        let side = if wall.is_front(me.centroid) { wall.normal } else { -wall.normal };
         plane = plane.in_front(wall.point, side);
     }
     match plane.area_and_centroid() {

@@ -43,7 +43,7 @@ impl Wall {
         self.normal.dot(normal).abs() < ACROSS
     }
 
-    fn is_front(&self, point: DVec3) -> bool {
+    pub fn is_front(&self, point: DVec3) -> bool {
         self.normal.dot(point - self.point) > 0.0
     }
 }

@@ -23,12 +23,18 @@ const MOST: u8 = 7;
 const DIVIDED: u8 = 1 << 3;
 const WALL: u8 = 1 << 4;
 
+/// Set where a voxel holds both faces of something thin.
+const THIN: u8 = 1 << 5;
+
+/// Distance between two faces that makes them thin, in voxel edges.
+const THICKNESS: f32 = 0.5;
+
 /// The place of a surfel in its voxel.
 #[derive(Clone, Copy, Default)]
 pub struct Layer(u8);
 
 impl Layer {
-    pub const BITS: u32 = 5;
+    pub const BITS: u32 = 6;
 
     pub fn from_bits(bits: u32) -> Self {
         Self(bits as u8)
@@ -41,6 +47,11 @@ impl Layer {
     /// Whether a wall divides the voxel.
     pub fn is_divided(self) -> bool {
         self.0 & DIVIDED != 0
+    }
+
+    /// There is something in the voxel that both of its sides are near to.
+    pub fn is_thin(self) -> bool {
+        self.0 & (DIVIDED | THIN) != 0
     }
 
     /// The surfel is the wall along whose normal layers count.
@@ -58,21 +69,28 @@ impl Layer {
     }
 }
 
-/// The layers of all surfels, in the order of the list; empty where no wall divides any voxel.
+/// The layers of all surfels, in the order of the list; empty where nothing is thin and no wall divides any voxel.
 pub fn layers(surfels: &Surfels) -> Vec<Layer> {
-    let mut layers = Vec::new();
+    let (edge, mut layers) = (surfels.grid.edge, Vec::new());
     let mut first = 0;
     for mates in surfels.list.chunk_by(|a, b| a.voxel() == b.voxel()) {
-        if let Some(wall) = wall(mates, surfels.grid.edge) {
+        let (wall, thin) = (wall(mates, edge), if is_thin(mates, edge) { THIN } else { 0 });
+        if wall.is_some() || thin != 0 {
             layers.resize(surfels.list.len(), Layer::default());
-            for (i, s) in mates.iter().enumerate() {
-                let mark = if i == wall { WALL } else { 0 };
-                layers[first + i] = Layer(number(mates, &mates[wall], s, surfels.grid.edge) | DIVIDED | mark);
-            }
+        }
+        for (i, s) in mates.iter().enumerate().filter(|_| wall.is_some() || thin != 0) {
+            let place = wall.map_or(0, |w| number(mates, &mates[w], s, edge) | DIVIDED);
+            layers[first + i] = Layer(place | thin | if wall == Some(i) { WALL } else { 0 });
         }
         first += mates.len();
     }
     layers
+}
+
+/// Two surfels of a voxel look away from each other and are close.
+fn is_thin(mates: &[Surfel], edge: f32) -> bool {
+    let is_back = |a: &Surfel, b: &Surfel| a.normal.dot(b.normal) < -PARALLEL && height(a, b, edge).abs() < THICKNESS;
+    mates.iter().enumerate().any(|(i, a)| mates[i + 1..].iter().any(|b| is_back(a, b)))
 }
 
 /// How far a surfel lies in front of another one [voxel edges].

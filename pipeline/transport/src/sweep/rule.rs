@@ -12,8 +12,8 @@
 //! - a receiver *blocks* only if the next voxel of the line lies behind its plane: a line that leaves the voxels of
 //!   a surface on the front side has not crossed it;
 //! - a receiver right behind the plane of the emitter that the line carries has not seen it: it belongs to the other
-//!   side of a thin wall and takes what the line carried before; nor has it seen an emitter at the foot of a wall (in a
-//!   voxel that it divides, see `layers.rs`) that lies behind the receiver's own plane;
+//!   side of a thin wall and takes what the line carried before; nor has it, where something is thin (`layers.rs`), seen
+//!   an emitter that lies behind its own plane;
 //! - the faces of a wall that divides its voxel (`layers.rs`) always end what comes to them: there is something on both
 //!   sides, and the line goes from the one to the other;
 //! - what no rule can tell is *unknown*: it adds neither light nor weight. Sky is never unknown in an open scene.
@@ -31,7 +31,7 @@ const PLANE: f32 = 0.4;
 const COPLANAR: f32 = 0.5;
 /// A receiver this little in front of an emitter's plane lies behind it.
 const BEHIND: f32 = 1e-4;
-/// An emitter at a wall's foot that lies this much behind a receiver's plane is on the other side of it.
+/// Beside something thin, an emitter that lies this much behind a receiver's plane is on the other side of it.
 const HIDDEN: f32 = 0.02;
 
 impl<S: Sample> Ray<'_, S> {
@@ -120,7 +120,12 @@ impl<S: Sample> Ray<'_, S> {
     fn is_apart(&self, emitter: u32, receiver: u32, slice: &Slice) -> bool {
         let way = self.way(emitter, receiver, slice);
         let along = |surfel: u32| dot(self.copy.normal(surfel as usize), &way);
-        along(emitter) <= BEHIND || self.copy.layer(emitter as usize).is_divided() && along(receiver) > HIDDEN
+        along(emitter) <= BEHIND || self.are_thin(emitter, receiver) && along(receiver) > HIDDEN
+    }
+
+    /// There is something thin where one of the two is.
+    fn are_thin(&self, emitter: u32, receiver: u32) -> bool {
+        [emitter, receiver].iter().any(|&i| self.copy.layer(i as usize).is_thin())
     }
 
     /// The receiver lies behind the emitter's plane: a thin wall or a convex edge, of which it is the near side. It
@@ -130,8 +135,8 @@ impl<S: Sample> Ray<'_, S> {
         older.receiver = stop.surfel | blocked | blocks;
         let open = blocked == 0 || self.shares(last, stop.surfel, face, slice);
         let from = older.emitter;
-        let divided = slice.thin.has(from) && self.copy.layer(from as usize).is_divided();
-        let hidden = divided && self.is_apart(from, stop.surfel, slice);
+        let thin = slice.thin.has(from) && self.are_thin(from, stop.surfel);
+        let hidden = thin && self.is_apart(from, stop.surfel, slice);
         if open && !hidden { from } else { self.unknown }
     }
 
