@@ -13,7 +13,7 @@ use luxel_transport::{
     octree::{self, Octree},
     rays::Rays,
     shoot::{self, PhotonSettings},
-    solve::{SolveSettings, is_closed, solve},
+    solve::{SolveSettings, is_closed, refine, solve},
     surfel::{AreaRule, Resolution, Solution, Surfels, VoxelSettings},
     sweep,
 };
@@ -226,9 +226,16 @@ impl Transport {
             })?;
         counted.push((Stage::Propagate, journal.last(Stage::Propagate)));
         let refreshed = journal.run(plan, Stage::Refresh, Some(count), |progress, counters| {
-            let field = Field::build(rays, &surfels, &solution, progress)?;
+            let mut refreshed = {
+                let field = Field::build(rays, &surfels, &solution, progress)?;
+                refresh(&field, settings.refresh.0, &radiance, progress)?
+            };
+            let closed = *closed.get_or_insert_with(|| is_known_closed(rays, &surfels, settings));
+            let how = SolveSettings { closed, ..solve_settings(settings) };
+            let discrete = refine(&surfels, &solution.indirect, &mut refreshed.indirect, &how, progress)?;
             counters.insert("continuous_rays".into(), count * u64::from(settings.refresh.0));
-            Ok(refresh(&field, settings.refresh.0, &radiance, progress)?)
+            counters.insert("discrete_rays".into(), discrete);
+            Ok(refreshed)
         })?;
         if let Some(refreshed) = refreshed {
             if let Some(books) = &mut books {
@@ -322,7 +329,9 @@ impl Transport {
             } else {
                 let exact = |direct: &dyn Gather| Ok(shoot::exact(geometry, surfels, direct, points, progress)?);
                 let visibility = if self.is_coarse { Visibility::Rays } else { Visibility::Shafts };
-                direct::with(rays, &emitters, settings, visibility, progress, exact)?
+                let mut shot = direct::with(rays, &emitters, settings, visibility, progress, exact)?;
+                shot.rays += shoot::close(rays, &emitters, surfels, points, &mut shot.irradiance, progress)?;
+                shot
             };
             counters.insert("primary_photons".into(), shot.primary_photons);
             counters.insert("direct_photons".into(), shot.direct_photons);
@@ -426,8 +435,8 @@ mod tests {
         let hash = hasher.finalize().to_hex();
         let versions = STORED.map(|stage| format!("{} {}", stage.name(), stage.version())).join(", ");
         let known = (
-            "surfels 4, shoot 3, propagate 4, refresh 2",
-            "d0824b76628b103564faee07f058bdd7b9384caebcce76154604bf3a165062be",
+            "surfels 5, shoot 4, propagate 5, refresh 3",
+            "fca28b186b2d5657c258e19e336d734d92df34b46629d4b2da8d649340c8fbbe",
         );
         assert_eq!(
             (versions.as_str(), hash.as_str()),

@@ -3,7 +3,8 @@
 //! Every texel square that a block's triangles touch is clipped against each of them (f64), so coverage sums to the
 //! chart's area. The sample point is the texel's centre where a triangle holds it; else the nearest point of the
 //! covered part, drawn an eighth of the way towards that part's centroid so that it does not lie in the very corner
-//! where two walls meet. World area is gathered alike: a texel's footprint is the side of the square that has the
+//! where two walls meet. A centre on the very border of a triangle is drawn inwards likewise: there may stand a wall, and
+//! whoever is in its plane sees past it. World area is gathered alike: a texel's footprint is the side of the square that has the
 //! world area of the whole texel.
 
 use std::ops::Range;
@@ -21,6 +22,10 @@ use crate::place::Place;
 const LEAST_COVERAGE: f64 = 1e-6;
 /// How far a displaced sample moves from the border towards the middle of the covered part.
 const INWARD: f64 = 0.125;
+/// Coverage from which on a texel lies within its chart, but for rounding.
+const WHOLE: f64 = 1.0 - 1e-6;
+/// A centre that is less than this share of a texel from the border counts as on it.
+const BORDER: f64 = 1.0 / 64.0;
 
 /// What is known of one texel so far.
 #[derive(Clone, Copy)]
@@ -32,9 +37,20 @@ struct Cell {
     distance: f64,
     sample: DVec2,
     face: u32,
+    /// The centre, and the first face that holds it, border or not.
+    centre: Option<(DVec2, u32)>,
 }
 
-const EMPTY: Cell = Cell { coverage: 0.0, area: 0.0, distance: f64::INFINITY, sample: DVec2::ZERO, face: 0 };
+impl Cell {
+    /// Where the texel is sampled. A centre on a border that the chart goes on behind, as on the diagonal of a quad, is
+    /// as good as any.
+    fn place(&self) -> (DVec2, u32) {
+        self.centre.filter(|_| self.coverage >= WHOLE).unwrap_or((self.sample, self.face))
+    }
+}
+
+const EMPTY: Cell =
+    Cell { coverage: 0.0, area: 0.0, distance: f64::INFINITY, sample: DVec2::ZERO, face: 0, centre: None };
 
 /// Rows whose cells exist at the same time; every strip looks at all faces of its block.
 const STRIP: u32 = 64;
@@ -73,8 +89,9 @@ fn strip(
     for item in watched(cells.iter().enumerate().filter(|(_, c)| is_there(c)), progress) {
         let (at, cell) = item?;
         let (i, j) = (at as u32 % width, at as u32 / width + rows.start);
-        let face = &block.faces[cell.face as usize];
-        let (u, v) = barycentric(&corners[cell.face as usize], cell.sample);
+        let (sample, number) = cell.place();
+        let face = &block.faces[number as usize];
+        let (u, v) = barycentric(&corners[number as usize], sample);
         let (x, y) = turned((i, j), place);
         let place = [(place.x + x) as u16, (place.y + y) as u16];
         let footprint = (cell.area / cell.coverage).sqrt() as f32;
@@ -135,9 +152,12 @@ fn draw(cells: &mut [Cell], width: u32, rows: &Range<u32>, number: u32, face: &F
             cell.coverage += area;
             cell.area += area * world_per_texel;
             let (distance, sample) = match &covered {
-                Some(part) if !edges.holds(centre) => displaced(part, centre),
+                Some(part) if !edges.holds(centre, BORDER) => displaced(part, centre),
                 _ => (0.0, centre),
             };
+            if cell.centre.is_none() && edges.holds(centre, 0.0) {
+                cell.centre = Some((centre, number));
+            }
             if distance < cell.distance {
                 (cell.distance, cell.sample, cell.face) = (distance, sample, number);
             }
@@ -164,8 +184,9 @@ impl Edges {
         Self { normals, offsets: [0, 1, 2].map(|k| normals[k].dot(t[k])) }
     }
 
-    fn holds(&self, p: DVec2) -> bool {
-        (0..3).all(|k| self.normals[k].dot(p) >= self.offsets[k])
+    /// The triangle holds a point that is at least so far from its border.
+    fn holds(&self, p: DVec2, border: f64) -> bool {
+        (0..3).all(|k| self.normals[k].dot(p) >= self.offsets[k] + border * self.normals[k].length())
     }
 
     /// How the unit square around a centre lies to the triangle, edge by edge.

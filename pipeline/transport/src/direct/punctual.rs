@@ -54,6 +54,8 @@ pub fn lamp(lamp: &Lamp, r: &Receiver, sight: &Sight, patterns: &[Pattern], betw
     let cosine = (1.0 - sine * sine).sqrt();
     // The disc that fills the cone lies in front of the sphere's centre, where its rim touches the sphere.
     let near = distance * cosine * cosine;
+    // A bare lamp on a wall, or closer to it than a ray starts from one, is not hidden by that wall.
+    let near = if lamp.radius == 0.0 { (near - 2.0 * OFFSET).max(0.5 * near) } else { near };
     let exact = r.cosine((lamp.position - r.position).normalize_or_zero());
     let disc = Disc { direction: to / distance, distance: near, exact, cosine, sine, facing };
     disc.irradiance(r, sight, patterns, between)

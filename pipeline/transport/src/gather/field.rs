@@ -57,6 +57,11 @@ impl<'a> Field<'a> {
         Ok(Self { rays, surfels, solution, index, surfaces: Surfaces::new(rays) })
     }
 
+    /// The same surfels under another light, which has been checked.
+    pub(super) fn under<'b>(&'b self, solution: &'b Solution) -> Field<'b> {
+        Field { solution, index: self.index.clone(), surfaces: self.surfaces.clone(), ..*self }
+    }
+
     /// Follows a ray from `origin` along `direction` (unit) through all veils, and shows every surface on its way.
     /// Returns the share of light that comes in from beyond all surfaces, and the rays spent.
     #[inline]

@@ -37,6 +37,7 @@ pub struct Encounter {
 }
 
 /// The surfaces of a scene.
+#[derive(Clone)]
 pub(super) struct Surfaces<'a> {
     rays: &'a Rays<'a>,
     /// For each material what it is everywhere, where that does not depend on the point.

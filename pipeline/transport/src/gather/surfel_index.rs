@@ -26,6 +26,7 @@ struct Brick {
 }
 
 /// Finds surfels by voxel.
+#[derive(Clone)]
 pub struct SurfelIndex<'a> {
     bricks: Vec<Brick>,
     /// The first surfel of each occupied voxel, by its number; the others follow it.
@@ -77,18 +78,20 @@ impl<'a> SurfelIndex<'a> {
         first..first + self.list[first..].iter().take_while(|s| s.voxel() == voxel).count()
     }
 
-    /// The surfel at a surface point on the side that `normal` looks to: the best aligned one of the point's voxel; in a
+    /// The surfel at a surface point on the side that `normal` looks to: the best aligned one of the point's voxel, on the
+    /// point's side of the walls there; in a
     /// voxel without any (a sliver that carries no area) the nearest one of the neighbours that faces the same side.
     pub fn find(&self, point: Vec3, normal: Vec3) -> Option<usize> {
         let voxel = self.voxel(point);
         let mut best = (FACING, None);
-        for i in self.surfels(voxel) {
+        let mates = self.surfels(voxel);
+        for i in mates.clone() {
             let facing = self.list[i].normal.dot(normal);
             if facing > best.0 {
                 best = (facing, Some(i));
             }
         }
-        best.1.or_else(|| self.nearest(voxel, point, normal))
+        best.1.map(|best| Surfels::owner(self.list, mates, best, point)).or_else(|| self.nearest(voxel, point, normal))
     }
 
     #[cold]

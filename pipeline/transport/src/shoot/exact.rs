@@ -15,7 +15,7 @@ use crate::{
     geometry::Geometry,
     lighttree::identity,
     sampling::{basis, combine},
-    surfel::{Grid, Surfel, Surfels, morton},
+    surfel::{Surfel, Surfels, morton},
 };
 
 /// Surfels whose receivers form chunks together; the next ones begin a chunk of their own.
@@ -73,7 +73,7 @@ fn places(
     surfel: u32,
     points: u32,
 ) -> impl Iterator<Item = (Owner, Receiver)> + use<> {
-    let all = receivers(geometry, &surfels.grid, &surfels.list[surfel as usize], points);
+    let all = receivers(geometry, surfels, surfel as usize, points);
     let count = all.iter().flatten().count();
     let owner = move |number: usize| Owner { surfel, points: count as u8, last: number + 1 == count };
     all.into_iter().flatten().enumerate().map(move |(number, receiver)| (owner(number), receiver))
@@ -93,8 +93,10 @@ fn by_place(surfels: &Surfels) -> Vec<u32> {
     order
 }
 
-/// The surfel's own point, and its neighbours where they lie on the same triangle and in the same voxel.
-fn receivers(geometry: &Geometry, grid: &Grid, surfel: &Surfel, points: u32) -> [Option<Receiver>; 5] {
+/// The surfel's own point, and its neighbours where they lie on the same triangle, in the same voxel, and on the same
+/// side of the walls there.
+pub(super) fn receivers(geometry: &Geometry, surfels: &Surfels, number: usize, points: u32) -> [Option<Receiver>; 5] {
+    let (grid, surfel) = (&surfels.grid, &surfels.list[number]);
     let (center, normal) = surfel.place(geometry);
     let at = |position: Vec3, i: u64| Receiver {
         position,
@@ -114,11 +116,20 @@ fn receivers(geometry: &Geometry, grid: &Grid, surfel: &Surfel, points: u32) -> 
     for (i, (x, y)) in [(1.0, 0.4), (-0.4, 1.0), (-1.0, -0.4), (0.4, -1.0)].into_iter().enumerate() {
         let p = center + (axes.x_axis * x + axes.y_axis * y) * step;
         let voxel = ((p - grid.origin) / grid.edge).floor().as_ivec3();
-        if voxel == surfel.voxel() && contains(corners, p) {
+        let is_own = || Surfels::owner(&surfels.list, mates(surfels, number), number, p) == number;
+        if voxel == surfel.voxel() && contains(corners, p) && is_own() {
             found[i + 1] = Some(at(p, i as u64 + 1));
         }
     }
     found
+}
+
+/// The surfels of a surfel's voxel.
+fn mates(surfels: &Surfels, number: usize) -> std::ops::Range<usize> {
+    let voxel = surfels.list[number].voxel();
+    let is_mate = |s: &&Surfel| s.voxel() == voxel;
+    let before = surfels.list[..number].iter().rev().take_while(is_mate).count();
+    number - before..number + surfels.list[number..].iter().take_while(is_mate).count()
 }
 
 /// A point of the triangle's plane lies within the triangle.

@@ -1,9 +1,10 @@
 //! First light on the surfels: what the lights send out, before any reflection.
 //!
 //! Two ways with the same result: [`exact`] evaluates the closed forms of [`crate::direct`] at a point of a real
-//! triangle of every surfel; [`photons`] is the paper's own way (Piwowar & Malgouyres 2009, §3), photons by ray
+//! triangle of every surfel, but for lamps that almost touch a surface ([`close`]); [`photons`] is the paper's own way (Piwowar & Malgouyres 2009, §3), photons by ray
 //! tracing that stop at the first surface, and converges to it with the square root of their number.
 
+pub mod close;
 pub(crate) mod dome;
 pub(crate) mod emission;
 pub mod exact;
@@ -13,6 +14,7 @@ use glam::DVec3;
 
 use crate::Rgb;
 
+pub use close::close;
 pub use exact::exact;
 pub use photons::{PhotonSettings, photons};
 

@@ -20,7 +20,8 @@
 //! Irradiances in lux. Everything is linear in the light but for the decision when to stop.
 
 mod enclosure;
-mod stiff;
+mod refine;
+pub mod stiff;
 
 use std::borrow::Cow;
 
@@ -36,6 +37,7 @@ use crate::{
 };
 
 pub use enclosure::is_closed;
+pub use refine::refine;
 
 /// How light is propagated.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -401,7 +403,9 @@ impl Bounces<'_> {
         let source = self.reflected(current);
         let (sweep, grey, progress) = (&self.sweep, self.grey, self.progress);
         let operator = |radiosity: &[Rgb]| sweep.apply(&directions, radiosity.to_vec(), None, grey, progress);
-        let rest = stiff::solve(self.sweep.surfels(), &source, q, total, self.settings.tolerance, operator)?;
+        let surfels = self.sweep.surfels();
+        let reflectance = |i: usize| surfels.list[i].albedo();
+        let rest = stiff::solve(surfels, &reflectance, &source, q, total, self.settings.tolerance, operator)?;
         self.report.stiff_steps = rest.steps;
         self.report.discrete_rays += u64::from(rest.steps) * directions.len() as u64 * source.len() as u64;
         global_cache.iter_mut().zip(&rest.irradiance).for_each(|(g, e)| *g += *e);

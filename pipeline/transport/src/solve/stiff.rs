@@ -74,8 +74,11 @@ impl Short {
 
 /// Solves x = source + ρTx and returns x with Tx. `q` is the ratio of increments so far, `before` the indirect energy
 /// (Σ A·E) so far; `tolerance` of that and of what the solution adds may be missing.
+///
+/// `reflectance` is ρ of every surfel, below 1; the solver's own surfels have [`Surfel::albedo`](crate::surfel::Surfel).
 pub fn solve(
     surfels: &Surfels,
+    reflectance: &dyn Fn(usize) -> Rgb,
     source: &[Rgb],
     q: f64,
     before: f64,
@@ -90,9 +93,9 @@ pub fn solve(
     loop {
         let mut y = operator(&x)?;
         steps += 1;
-        let scale = balance(surfels, sent, &x, &y);
+        let scale = balance(surfels, reflectance, sent, &x, &y);
         x.iter_mut().chain(y.iter_mut()).for_each(|v| *v *= scale);
-        let residual: Vec<Rgb> = (0..x.len()).map(|i| source[i] + surfels.list[i].albedo() * y[i] - x[i]).collect();
+        let residual: Vec<Rgb> = (0..x.len()).map(|i| source[i] + reflectance(i) * y[i] - x[i]).collect();
         let remaining = error(surfels, &residual, q);
         let total = before + flux(surfels, |i| y[i]).element_sum() / 3.0;
         if remaining <= tolerance * total || steps == MAX_STEPS {
@@ -172,8 +175,8 @@ fn cholesky(n: usize, a: impl Fn(usize, usize) -> f64, b: impl Fn(usize) -> f64)
 }
 
 /// The factor per band that makes what is sent, absorbed and lost add up; 1 where there is nothing to balance.
-fn balance(surfels: &Surfels, sent: DVec3, x: &[Rgb], y: &[Rgb]) -> Rgb {
-    let kept = flux(surfels, |i| x[i] - surfels.list[i].albedo() * y[i]);
+fn balance(surfels: &Surfels, reflectance: &dyn Fn(usize) -> Rgb, sent: DVec3, x: &[Rgb], y: &[Rgb]) -> Rgb {
+    let kept = flux(surfels, |i| x[i] - reflectance(i) * y[i]);
     let band = |b: usize| {
         let scale = sent[b] / kept[b];
         // The gather is not exactly symmetric, so near ρ = 1 a first guess may seem to make light.

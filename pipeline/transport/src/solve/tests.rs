@@ -335,6 +335,24 @@ fn two_white_rooms_with_a_door_have_two_slow_modes() {
     let (exact, _) = solve(&surfels, &direct, &tight, None, &Silent).unwrap();
     let error = mean(&surfels, &solution.indirect) / mean(&surfels, &exact.indirect) - 1.0;
     println!("{} stiff steps, error {error:+.5}", report.stiff_steps);
-    assert!(report.stiff_steps <= 16, "{}", report.stiff_steps);
+    // The cavities under the pieces of the wall are rooms of their own.
+    assert!(report.stiff_steps <= 18, "{}", report.stiff_steps);
     assert!(error.abs() < 2e-3, "{error}");
+}
+
+#[test]
+fn the_correction_takes_a_leak_away_and_leaves_a_furnace_alone() {
+    // With T̃ as the exact operator too, a solution that is wrong by a leak is mended: E = (1 + T̃ρ + …) of the defect.
+    let scene = room_with_block(Vec3::splat(0.5));
+    let geometry = Geometry::new(&scene);
+    let surfels = voxelized(&geometry, 16);
+    let n = surfels.list.len();
+    let settings = closed();
+    // A closed room with E₀ = 1 everywhere has E = 1 of indirect light at ρ = 0.5; one bounce of 1.2 brings 1.1.
+    let mut refreshed = vec![Rgb::splat(1.1); n];
+    refine(&surfels, &vec![Rgb::splat(1.2); n], &mut refreshed, &settings, &Silent).unwrap();
+    assert!((mean(&surfels, &refreshed) - 1.0).abs() < 1e-3, "{}", mean(&surfels, &refreshed));
+    let mut right = vec![Rgb::ONE; n];
+    let rays = refine(&surfels, &right.clone(), &mut right, &settings, &Silent).unwrap();
+    assert!(rays == 0 && right.iter().all(|e| *e == Rgb::ONE));
 }

@@ -1,13 +1,17 @@
-//! Clusters: fragments of one voxel that share an orientation become one surfel, whether they emit light or not: lamps
-//! that are switched off and on leave the surfels as they are.
+//! Clusters: fragments of one voxel that share an orientation become one surfel, unless a wall stands between them, and
+//! whether they emit light or not: lamps that are switched off and on leave the surfels as they are.
 
 use glam::{DVec3, IVec3};
 
-use super::{Grid, Patch, fill, fragment::Fragment};
+use super::{
+    Grid, Patch, fill,
+    fragment::Fragment,
+    walls::{self, Wall},
+};
 use crate::{Rgb, geometry::Geometry};
 
 /// Fragments whose normals have a larger cosine share a surfel.
-const COSINE: f64 = 0.9;
+pub const COSINE: f64 = 0.9;
 
 /// Surfels of one voxel, at most; further fragments join the surfel that looks most like them. Foliage would
 /// otherwise give dozens, which neither the voxel size nor the sweep can tell apart.
@@ -16,12 +20,19 @@ pub const MAX_PER_VOXEL: usize = 32;
 /// Clusters with less area, in squared voxel edges, are rounding.
 const SLIVER: f64 = 1e-6;
 
+/// Length of the mean of the unit normals of a flat surface, at least: all lie within a degree.
+const FLAT: f64 = 0.9998;
+
 /// A surfel that is being collected; sums are weighted by covered area.
 pub struct Cluster {
     pub normal: DVec3,
     /// Area without regard to coverage, squared voxel edges.
     pub area: f64,
     pub centroid: DVec3,
+    /// Its sides of the voxel's walls.
+    pub sides: u32,
+    /// Length of the mean of its unit normals.
+    coherence: f64,
     covered: f64,
     opaque: f64,
     albedo: DVec3,
@@ -34,11 +45,13 @@ pub struct Cluster {
 }
 
 impl Cluster {
-    fn new(f: &Fragment, back: bool) -> Self {
+    fn new(f: &Fragment, back: bool, sides: u32) -> Self {
         Self {
             normal: DVec3::ZERO,
             area: 0.0,
             centroid: DVec3::ZERO,
+            sides,
+            coherence: 0.0,
             covered: 0.0,
             opaque: 0.0,
             albedo: DVec3::ZERO,
@@ -67,12 +80,19 @@ impl Cluster {
 
     /// Turns sums into means; `None` for rounding, and where normals cancel.
     fn finish(mut self) -> Option<Self> {
+        self.coherence = self.normal.length() / self.area;
         self.normal = self.normal.try_normalize()?;
         self.centroid /= self.covered;
         (self.covered > SLIVER).then_some(self)
     }
 
-    fn patch(&self, grid: &Grid, voxel: IVec3, fill: f64) -> Patch {
+    pub fn is_flat(&self) -> bool {
+        self.coherence > FLAT
+    }
+
+    /// `whole` is the area of its plane within the voxel, for a flat cluster: faces that overlap in one plane have more,
+    /// but only one of them is seen.
+    fn patch(&self, grid: &Grid, voxel: IVec3, fill: f64, whole: f64) -> Patch {
         let edge = f64::from(grid.edge);
         let lo = voxel.as_dvec3();
         let centroid = self.centroid.clamp(lo, lo + 1.0);
@@ -80,7 +100,7 @@ impl Cluster {
             voxel,
             centroid: (grid.origin.as_dvec3() + edge * centroid).as_vec3(),
             normal: self.normal.as_vec3(),
-            area: (self.covered * edge * edge) as f32,
+            area: (self.covered * (whole / self.area).min(1.0) * edge * edge) as f32,
             albedo: (self.albedo / self.covered).as_vec3(),
             fill: (fill * self.opaque / self.area) as f32,
             triangle: self.triangle,
@@ -95,28 +115,39 @@ impl Cluster {
 /// that it emits.
 pub fn surfels(geometry: &Geometry, grid: &Grid, fragments: &[Fragment], mut out: impl FnMut(Patch, Rgb)) {
     let Some(voxel) = fragments.first().map(|f| f.voxel) else { return };
-    let mut clusters: Vec<Cluster> = Vec::new();
-    for f in fragments {
-        let normal = geometry.triangles[f.triangle as usize].normal.as_dvec3();
-        put(&mut clusters, f, normal, false);
-        if geometry.material(f.triangle).double_sided {
-            put(&mut clusters, f, -normal, true);
-        }
+    let mut clusters = clustered(geometry, fragments, &[]);
+    let walls = walls::walls(voxel, &clusters);
+    if !walls.is_empty() {
+        clusters = clustered(geometry, &walls::divided(geometry, grid, &walls, fragments), &walls);
     }
-    let clusters: Vec<Cluster> = clusters.into_iter().filter_map(Cluster::finish).collect();
     for (i, cluster) in clusters.iter().enumerate() {
         let emission = (cluster.emission / cluster.covered).as_vec3();
-        out(cluster.patch(grid, voxel, fill::fraction(voxel, &clusters, i)), emission);
+        let whole = if cluster.is_flat() { fill::whole(voxel, cluster) } else { f64::INFINITY };
+        out(cluster.patch(grid, voxel, fill::fraction(voxel, &clusters, i, &walls), whole), emission);
     }
 }
 
-fn put(clusters: &mut Vec<Cluster>, f: &Fragment, normal: DVec3, back: bool) {
+/// The clusters of fragments that lie on one side of every wall each.
+fn clustered(geometry: &Geometry, fragments: &[Fragment], walls: &[Wall]) -> Vec<Cluster> {
+    let mut clusters: Vec<Cluster> = Vec::new();
+    for f in fragments {
+        let normal = geometry.triangles[f.triangle as usize].normal.as_dvec3();
+        let sides = walls::sides(walls, f.centroid, normal);
+        put(&mut clusters, f, normal, false, sides);
+        if geometry.material(f.triangle).double_sided {
+            put(&mut clusters, f, -normal, true, sides);
+        }
+    }
+    clusters.into_iter().filter_map(Cluster::finish).collect()
+}
+
+fn put(clusters: &mut Vec<Cluster>, f: &Fragment, normal: DVec3, back: bool, sides: u32) {
     let cosine = |c: &Cluster| c.normal.dot(normal) / c.normal.length().max(f64::MIN_POSITIVE);
-    let matching = clusters.iter().position(|c| cosine(c) > COSINE);
+    let matching = clusters.iter().position(|c| c.sides == sides && cosine(c) > COSINE);
     let index = match matching {
         Some(i) => i,
         None if clusters.len() < MAX_PER_VOXEL => {
-            clusters.push(Cluster::new(f, back));
+            clusters.push(Cluster::new(f, back, sides));
             clusters.len() - 1
         }
         None => (1..clusters.len()).fold(0, |b, i| if cosine(&clusters[i]) > cosine(&clusters[b]) { i } else { b }),

@@ -18,6 +18,7 @@ mod fragment;
 mod polygon;
 mod record;
 mod voxelize;
+mod walls;
 
 use bytemuck::{Pod, Zeroable};
 use glam::{IVec3, Vec3};
@@ -28,6 +29,9 @@ use crate::{Rgb, geometry::Geometry};
 pub use cluster::MAX_PER_VOXEL;
 pub use record::{Patch, Surfel};
 pub use voxelize::{MAX_SIDE, MAX_SURFELS, SurfelError};
+
+/// Least cosine between the normals of surfels of a voxel that are parts of one surface, on the sides of a wall.
+const TWIN: f32 = 0.99;
 
 /// A regular grid over the normalised frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -160,7 +164,25 @@ impl Surfels {
                 (best, best_cosine) = (Some(i), cosine);
             }
         }
-        best
+        best.map(|best| Self::owner(&self.list, self.in_voxel(self.grid.voxel(position)), best, position))
+    }
+
+    /// The voxel mate of a surfel, or the surfel itself, that a point of its plane belongs to: of those that look the same
+    /// way, the one that lies on the point's side of the other surfels of the voxel. `mates` are the surfels of the voxel.
+    pub fn owner(list: &[Surfel], mates: std::ops::Range<usize>, surfel: usize, point: Vec3) -> usize {
+        let normal = list[surfel].normal;
+        if mates.len() < 2 || !mates.clone().any(|i| i != surfel && list[i].normal.dot(normal) > TWIN) {
+            return surfel;
+        }
+        let is_front = |wall: &Surfel, p: Vec3| wall.normal.dot(p - wall.centroid) > 0.0;
+        let parts = |i: usize| {
+            let walls = mates.clone().filter(|&w| list[w].normal.dot(normal).abs() < walls::ACROSS as f32);
+            walls.filter(|&w| is_front(&list[w], point) != is_front(&list[w], list[i].centroid)).count()
+        };
+        let far = |i: usize| list[i].centroid.distance_squared(point);
+        let twins = mates.clone().filter(|&i| list[i].normal.dot(normal) > TWIN);
+        let nearer = |&a: &usize, &b: &usize| parts(a).cmp(&parts(b)).then(far(a).total_cmp(&far(b))).then(a.cmp(&b));
+        twins.min_by(nearer).unwrap_or(surfel)
     }
 
     /// Total area in squared frame units.

@@ -272,3 +272,32 @@ fn threads_do_not_change_the_surfels() {
     assert_eq!(one, run(2));
     assert_eq!(one, run(7));
 }
+
+#[test]
+fn a_wall_parts_the_floor_that_it_stands_on() {
+    // A sheet at x = 0.5 on a floor from 0 to 1: no surfel of the floor reaches from one side to the other, and a point of
+    // either side finds its own.
+    let mut b = Builder::new("sheet on a floor");
+    let grey = b.matte(Vec3::splat(0.5));
+    let both = b.material(Material { double_sided: true, ..Material::default() });
+    b.quad("floor", Vec3::ZERO, Vec3::Z, Vec3::X, grey);
+    b.quad("sheet", Vec3::X * 0.5, Vec3::Y, Vec3::Z, both);
+    let scene = b.build();
+    let geometry = Geometry::new(&scene);
+    let surfels = Surfels::new(&geometry, &side(10), &Silent).unwrap();
+    let edge = f64::from(surfels.grid.edge) / geometry.frame.scale;
+    let floor: Vec<usize> = (0..surfels.list.len()).filter(|&i| surfels.list[i].normal.y > 0.9).collect();
+    let across = |x: f64| {
+        geometry
+            .frame
+            .world(
+                surfels.list[surfels.find(geometry.frame.point(DVec3::new(x, 0.0, 0.33)), Vec3::Y).unwrap()].centroid,
+            )
+            .x
+    };
+    assert!(across(0.5 - 1e-3) < 0.5 && across(0.5 + 1e-3) > 0.5);
+    let parted = floor.iter().filter(|&&i| (geometry.frame.world(surfels.list[i].centroid).x - 0.5).abs() < edge);
+    assert!(parted.count() >= 2 * 9, "both sides of the sheet");
+    let area: f64 = floor.iter().map(|&i| f64::from(surfels.list[i].area)).sum();
+    assert!((area / (geometry.frame.scale * geometry.frame.scale) - 1.0).abs() < 1e-4, "{area}");
+}

@@ -8,12 +8,17 @@ use std::ops::Range;
 
 use glam::Vec3;
 
-use crate::surfel::Surfels;
+use crate::surfel::{MAX_SIDE, Surfels};
 
-use super::planes::Planes;
+use super::{layers::Layer, planes::Planes};
 
 /// Flag in [`AxisCopy::keys`]: the next surfel lies in the same voxel.
 const SHARES_VOXEL: u32 = 1 << 31;
+
+/// First bit of the [`Layer`] in [`AxisCopy::keys`]. Below it lies the place: a slice has at most 2050 · 2072 cells.
+const LAYER: u32 = 24;
+const PLACE: u32 = (1 << LAYER) - 1;
+const _: () = assert!(LAYER + Layer::BITS < 31 && (MAX_SIDE + 2) * (MAX_SIDE + 24) < PLACE);
 
 /// No plane, or none in common.
 pub const NOWHERE: u32 = u32::MAX >> 1;
@@ -60,7 +65,7 @@ struct Shape {
 /// All surfels sorted by the dominant axis first. Lengths in voxel edges, axes turned so that x is the dominant one.
 pub struct AxisCopy {
     pub axis: usize,
-    /// Place y·stride + z in its slice, and a flag.
+    /// Place y·stride + z in its slice, the layer of its voxel, and a flag.
     keys: Vec<u32>,
     /// n · (centre of the voxel − centroid).
     pub center_heights: Vec<f32>,
@@ -123,7 +128,7 @@ fn counting_sort(from: &[u32], keys: usize, key: impl Fn(u32) -> usize) -> Vec<u
 }
 
 impl AxisCopy {
-    pub fn new(surfels: &Surfels, planes: &Planes, axis: usize, order: &[u32]) -> Self {
+    pub fn new(surfels: &Surfels, planes: &Planes, layers: &[Layer], axis: usize, order: &[u32]) -> Self {
         let turn = |v: Vec3| [v[axis], v[(axis + 1) % 3], v[(axis + 2) % 3]];
         let size = turn(surfels.grid.size.as_vec3()).map(|side| side as i32);
         // An odd number of cache lines of eight cells: those of a column do not fall into the same few places.
@@ -150,7 +155,8 @@ impl AxisCopy {
                 copy.slices.push(k as u32);
             }
             let shares = order.get(k + 1).is_some_and(|&next| surfels.list[next as usize].voxel() == voxel);
-            copy.keys.push((y as u32 * stride + z as u32) | if shares { SHARES_VOXEL } else { 0 });
+            let layer = layers.get(i as usize).map_or(0, |layer| layer.bits() << LAYER);
+            copy.keys.push((y as u32 * stride + z as u32) | layer | if shares { SHARES_VOXEL } else { 0 });
             // Centroids lie in their voxels, but for rounding.
             let centroid = (surfels.grid.local(s.centroid) - voxel.as_vec3()).clamp(Vec3::ZERO, Vec3::ONE);
             let steps = turn(centroid).map(|c| (c * STEPS).round() as u16);
@@ -213,7 +219,11 @@ impl AxisCopy {
 
     #[inline(always)]
     pub fn key(&self, i: usize) -> u32 {
-        self.keys[i] & !SHARES_VOXEL
+        self.keys[i] & PLACE
+    }
+
+    pub fn layer(&self, i: usize) -> Layer {
+        Layer::from_bits(self.keys[i] >> LAYER & ((1 << Layer::BITS) - 1))
     }
 
     /// Keys of surfels that are alone in their voxels.

@@ -27,6 +27,9 @@ const BLACK: u32 = 2;
 /// Set on a receiver: the line went through its surface.
 pub(super) const BLOCKED: u32 = 0x8000_0000;
 
+/// Depth between two layers of a voxel: more than the voxel has.
+const APART: f32 = 4.0;
+
 /// Surfels of a patch that are looked at in one go.
 const CHUNK: usize = 64;
 
@@ -123,6 +126,8 @@ pub(super) struct Stop {
     /// Cell of its line.
     pub(super) at: u32,
     pub(super) center_height: f32,
+    /// It is a face of the wall that divides its voxel.
+    pub(super) divides: bool,
 }
 
 /// Adds one direction to the sums, part by part, each when it is its turn.
@@ -301,7 +306,8 @@ impl<S: Sample> Ray<'_, S> {
     #[inline(always)]
     fn stop(&self, surfel: u32, slice: &Slice) -> Stop {
         let i = surfel as usize;
-        Stop { surfel, at: self.lines.cell(self.copy.key(i), slice), center_height: self.copy.center_heights[i] }
+        let (at, center_height) = (self.lines.cell(self.copy.key(i), slice), self.copy.center_heights[i]);
+        Stop { surfel, at, center_height, divides: self.copy.layer(i).is_face() }
     }
 
     /// The voxels of several surfels. What depends on a surfel and the direction alone is worked out first, without a
@@ -316,6 +322,9 @@ impl<S: Sample> Ray<'_, S> {
         let mut i = 0;
         while i < faces.len() {
             if self.copy.shares_voxel(start + i + 1) {
+                if self.copy.layer(start + i).is_divided() {
+                    self.set_apart(start + i, &mut faces[i..]);
+                }
                 let voxel = self.by_depth(start + i, &faces[i..]);
                 for &k in &voxel.surfels[..voxel.len] {
                     let at = i + k as usize;
@@ -336,6 +345,17 @@ impl<S: Sample> Ray<'_, S> {
     #[inline(always)]
     fn depth(&self, i: usize) -> f32 {
         dot(&self.copy.centroid(i), &self.lines.sigma)
+    }
+
+    /// Moves the layers of a divided voxel apart, so that depth sorts them in the order in which the line meets them.
+    #[cold]
+    fn set_apart(&self, first: usize, placed: &mut [Placed]) {
+        let count = 1 + (first..).take_while(|&i| self.copy.shares_voxel(i)).count();
+        let layer = |k: usize| self.copy.layer(first + k);
+        let along = (0..count).find(|&k| layer(k).is_wall()).map_or(0.0, |k| placed[k].face.along);
+        for (k, placed) in placed[..count].iter_mut().enumerate() {
+            placed.depth += (APART * f32::from(layer(k).number())).copysign(along);
+        }
     }
 
     /// Sorts a voxel of three and more by depth.

@@ -19,6 +19,7 @@
 
 mod axis;
 mod kernel;
+mod layers;
 mod lines;
 mod literal;
 mod planes;
@@ -34,6 +35,7 @@ use rayon::prelude::*;
 
 use crate::{Rgb, directions::Direction, surfel::Surfels};
 use axis::AxisCopy;
+use layers::Layer;
 use lines::Lines;
 use planes::Planes;
 use sample::Sample;
@@ -64,6 +66,8 @@ pub struct Sweep<'a> {
     /// What does not change from sweep to sweep: the planes, and the orders along the three axes.
     planes: Arc<Planes>,
     orders: Arc<[Vec<u32>; 3]>,
+    /// Where walls divide voxels; empty where none does.
+    layers: Arc<Vec<Layer>>,
     rule: Rule,
     /// Nothing escapes from this scene: a line that comes from nowhere is unknown, not sky.
     closed: bool,
@@ -73,7 +77,8 @@ impl<'a> Sweep<'a> {
     pub fn new(surfels: &'a Surfels, rule: Rule, closed: bool) -> Self {
         let planes = Arc::new(Planes::new(surfels));
         let orders = Arc::new([0, 1, 2].map(|axis| axis::order(surfels, &planes, axis)));
-        Self { surfels, planes, orders, rule, closed }
+        let layers = Arc::new(layers::layers(surfels));
+        Self { surfels, planes, orders, layers, rule, closed }
     }
 
     pub fn surfels(&self) -> &'a Surfels {
@@ -82,7 +87,8 @@ impl<'a> Sweep<'a> {
 
     /// The same operator, in which lines from nowhere see the sky.
     pub fn opened(&self) -> Self {
-        Self { closed: false, planes: Arc::clone(&self.planes), orders: Arc::clone(&self.orders), ..*self }
+        let (planes, orders) = (Arc::clone(&self.planes), Arc::clone(&self.orders));
+        Self { closed: false, planes, orders, layers: Arc::clone(&self.layers), ..*self }
     }
 
     /// The irradiance [lux] at every surfel from the radiosities [lm/m²] of all and from the sky.
@@ -126,7 +132,7 @@ impl<'a> Sweep<'a> {
             let order = &self.orders[axis];
             let mut sorted = sorted(order, std::mem::take(&mut sums));
             let light = kernel::light::<S>(order, radiosity);
-            let copy = AxisCopy::new(self.surfels, &self.planes, axis, order);
+            let copy = AxisCopy::new(self.surfels, &self.planes, &self.layers, axis, order);
             let turns =
                 Turns::new(&mut sorted, copy.parts.windows(2).map(|p| p[0].start as usize..p[1].start as usize));
             let flights = rayon::current_num_threads().min(MOST_LINES * copy.len() / copy.cells() as usize).max(1);

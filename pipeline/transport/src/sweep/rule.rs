@@ -12,7 +12,10 @@
 //! - a receiver *blocks* only if the next voxel of the line lies behind its plane: a line that leaves the voxels of
 //!   a surface on the front side has not crossed it;
 //! - a receiver right behind the plane of the emitter that the line carries has not seen it: it belongs to the other
-//!   side of a thin wall and takes what the line carried before;
+//!   side of a thin wall and takes what the line carried before; nor has it, where something is thin (`layers.rs`), seen
+//!   an emitter that lies behind its own plane;
+//! - the faces of a wall that divides its voxel (`layers.rs`) always end what comes to them: there is something on both
+//!   sides, and the line goes from the one to the other;
 //! - what no rule can tell is *unknown*: it adds neither light nor weight. Sky is never unknown in an open scene.
 //!
 //! Surfels of one plane need no plane tests: they would pass them. Lengths are in voxels.
@@ -28,6 +31,8 @@ const PLANE: f32 = 0.4;
 const COPLANAR: f32 = 0.5;
 /// A receiver this little in front of an emitter's plane lies behind it.
 const BEHIND: f32 = 1e-4;
+/// Beside something thin, an emitter that lies this much behind a receiver's plane is on the other side of it.
+const HIDDEN: f32 = 0.02;
 
 impl<S: Sample> Ray<'_, S> {
     /// Whether the surfel fills the tube of this line: the same answer for all surfels of a tube with equal fill.
@@ -57,7 +62,7 @@ impl<S: Sample> Ray<'_, S> {
         }
         let crossed = receiver & BLOCKED != 0;
         if emitter != self.unknown && !crossed {
-            let brushes = stop.center_height + face.step > 0.0;
+            let brushes = !stop.divides && stop.center_height + face.step > 0.0;
             if brushes || !self.fills(stop) {
                 return;
             }
@@ -86,12 +91,12 @@ impl<S: Sample> Ray<'_, S> {
     /// The line arrives at a surface on its front; returns where its light comes from.
     #[inline(never)]
     pub(super) fn receive(&self, stop: Stop, face: Face, slice: &Slice, table: &mut Table) -> u32 {
-        let behind = stop.center_height + face.step < 0.0;
+        let behind = stop.divides || stop.center_height + face.step < 0.0;
         let blocks = if behind && self.fills(stop) { BLOCKED } else { 0 };
         let cell = &mut table.cells[stop.at as usize];
         let Cell { emitter, receiver } = *cell;
         if receiver == self.none {
-            if slice.thin.has(emitter) && self.is_behind(emitter, stop.surfel, slice) {
+            if slice.thin.has(emitter) && self.is_apart(emitter, stop.surfel, slice) {
                 return self.look_through(stop, face, blocks, slice, &mut table.older[stop.at as usize]);
             }
             cell.receiver = stop.surfel | blocks;
@@ -111,8 +116,16 @@ impl<S: Sample> Ray<'_, S> {
         if slice.thin.has(last) { self.unknown } else { self.inside }
     }
 
-    fn is_behind(&self, emitter: u32, receiver: u32, slice: &Slice) -> bool {
-        dot(self.copy.normal(emitter as usize), &self.way(emitter, receiver, slice)) <= BEHIND
+    /// The receiver lies behind the emitter's plane, or is in front of a wall behind which the emitter lies.
+    fn is_apart(&self, emitter: u32, receiver: u32, slice: &Slice) -> bool {
+        let way = self.way(emitter, receiver, slice);
+        let along = |surfel: u32| dot(self.copy.normal(surfel as usize), &way);
+        along(emitter) <= BEHIND || self.are_thin(emitter, receiver) && along(receiver) > HIDDEN
+    }
+
+    /// There is something thin where one of the two is.
+    fn are_thin(&self, emitter: u32, receiver: u32) -> bool {
+        [emitter, receiver].iter().any(|&i| self.copy.layer(i as usize).is_thin())
     }
 
     /// The receiver lies behind the emitter's plane: a thin wall or a convex edge, of which it is the near side. It
@@ -121,7 +134,10 @@ impl<S: Sample> Ray<'_, S> {
         let (last, blocked) = (older.receiver & !BLOCKED, older.receiver & BLOCKED);
         older.receiver = stop.surfel | blocked | blocks;
         let open = blocked == 0 || self.shares(last, stop.surfel, face, slice);
-        if open { older.emitter } else { self.unknown }
+        let from = older.emitter;
+        let thin = slice.thin.has(from) && self.are_thin(from, stop.surfel);
+        let hidden = thin && self.is_apart(from, stop.surfel, slice);
+        if open && !hidden { from } else { self.unknown }
     }
 
     /// Two receivers of a line belong to one surface, or to surfaces that touch without hiding each other.

@@ -249,7 +249,7 @@ fn orders_go_slice_by_slice_and_keep_voxels_together() {
         runs.sort_by_key(|v| v.to_array());
         runs.dedup();
         assert_eq!(runs.len(), count, "a voxel is in two places");
-        let copy = AxisCopy::new(&surfels, &planes, axis, &order);
+        let copy = AxisCopy::new(&surfels, &planes, &[], axis, &order);
         let lone = copy.parts.windows(2).map(|p| p[0].shared - p[0].start).sum::<u32>() as usize;
         assert!(copy.parts.windows(2).all(|p| p[0].shared >= p[0].start && p[0].shared <= p[1].start));
         assert!(lone > surfels.list.len() / 2, "{lone} of {}", surfels.list.len());
@@ -268,7 +268,7 @@ fn a_cell_of_the_ring_belongs_to_one_line_from_its_entry_to_its_exit() {
     let planes = Planes::new(&surfels);
     for axis in 0..3 {
         let order = axis::order(&surfels, &planes, axis);
-        let copy = AxisCopy::new(&surfels, &planes, axis, &order);
+        let copy = AxisCopy::new(&surfels, &planes, &[], axis, &order);
         let [slices, rows, columns] = copy.size;
         for direction in DirectionSet::Fibonacci.directions(60, 3) {
             if lines::dominant(direction.sigma) != axis {
@@ -308,7 +308,7 @@ fn the_way_between_surfels_of_a_line_is_that_of_their_centroids() {
     let planes = Planes::new(&surfels);
     for axis in 0..3 {
         let order = axis::order(&surfels, &planes, axis);
-        let copy = AxisCopy::new(&surfels, &planes, axis, &order);
+        let copy = AxisCopy::new(&surfels, &planes, &[], axis, &order);
         let place = |k: usize| {
             let s = &surfels.list[order[k] as usize];
             let local = surfels.grid.local(s.centroid);

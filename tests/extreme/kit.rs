@@ -1,0 +1,81 @@
+//! What the extreme cases share.
+
+use std::f64::consts::PI;
+
+use glam::{DVec3, Vec3};
+use luxel::Lit;
+use luxel::settings::{Settings, Voxels};
+use luxel_scene::{Scene, Silent, build::Builder};
+use luxel_transport::{
+    geometry::Geometry,
+    surfel::{Resolution, Surfels, VoxelSettings},
+};
+
+use crate::support::*;
+
+/// Radiance of glowing walls [cd/m²].
+pub const GLOW: f32 = 2.0;
+
+/// The preset `medium` with few voxels on a small atlas: less work, and no easier.
+pub fn coarse() -> Settings {
+    sized(64, 12_000)
+}
+
+pub fn sized(side: u32, voxels: u32) -> Settings {
+    Settings { voxels: Voxels::Budget(voxels), ..medium(side) }
+}
+
+/// Whether the cases that take long are wanted; says so where not.
+pub fn heavy(name: &str) -> bool {
+    let wanted = std::env::var_os("LUXEL_HEAVY").is_some_and(|v| v == "1");
+    if !wanted {
+        println!("{name}: SKIPPED (takes longer than a minute; set LUXEL_HEAVY=1)");
+    }
+    wanted
+}
+
+/// All light of a bake, images and texels, is a finite irradiance.
+pub fn assert_sound(name: &str, lit: &Lit) {
+    let images = lit.lightmaps.iter().flat_map(|map| map.irradiance());
+    for e in images.chain(&lit.texels.irradiance) {
+        assert!(e.is_finite() && e.min_element() >= 0.0, "{name}: {e}");
+    }
+}
+
+/// Every valid texel, and at least 30 of them, is within `tolerance` of the closed form.
+pub fn assert_within(name: &str, scene: &Scene, lit: &Lit, tolerance: f64, truth: impl Fn(DVec3) -> f64) {
+    assert_sound(name, lit);
+    let texels = valid_texels(lit, |_| true);
+    assert!(texels.len() >= 30, "{name}: only {} texels to judge by", texels.len());
+    let (s, worst, place) = score_closed_form(scene, lit, &texels, truth);
+    println!(
+        "{name}: {} texels, mean E {:.5}, RMSE {:.4} %, bias {:+.4} %, largest {:.4} % at {place:.3}",
+        s.samples,
+        s.mean,
+        100.0 * s.rmse,
+        100.0 * s.bias,
+        100.0 * worst
+    );
+    assert!(worst <= tolerance, "{name}: {worst} at {place}: {s:?}");
+}
+
+/// A closed room whose walls all have the albedo ρ and emit [`GLOW`], and E = πLₑ/(1 − ρ) in it.
+pub fn furnace(name: &str, albedo: f32, shape: impl Fn(&mut Builder, usize)) -> (Scene, f64) {
+    let mut b = Builder::new(name);
+    let wall = b.emitter(Vec3::splat(albedo), Vec3::splat(GLOW));
+    shape(&mut b, wall);
+    (b.build(), PI * f64::from(GLOW) / (1.0 - f64::from(albedo)))
+}
+
+/// About so many surfels of a scene.
+pub fn voxelized(geometry: &Geometry, budget: u32) -> Surfels {
+    let settings = VoxelSettings { resolution: Resolution::Budget(budget), ..VoxelSettings::default() };
+    Surfels::new(geometry, &settings, &Silent).expect("voxels")
+}
+
+/// Mean irradiance over some texels, by area, over the bands [lux].
+pub fn mean(lit: &Lit, texels: &[usize]) -> f64 {
+    let areas = areas(lit, texels);
+    let y = |i: usize| f64::from(value(lit, i).element_sum()) / 3.0;
+    texels.iter().zip(&areas).map(|(&i, a)| a * y(i)).sum::<f64>() / areas.iter().sum::<f64>()
+}
