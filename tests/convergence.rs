@@ -19,8 +19,8 @@ fn errors(scene: &Scene, rungs: &[u32], how: Exactness, with_photons: bool) -> V
         Lab::with(scene, &base, None, &Silent, |lab| {
             let (atlas, _) = lab::lay_out(scene, &base, &Silent)?;
             let texels = truth::texels(lab, &atlas, how.texels);
-            let truth = truth::truth(lab, &atlas, texels, &how, None, &Silent)?;
-            let measure = Measure { lab, atlas: &atlas, truth: &truth, store: None, fresh: true };
+            let truth = truth::truth(lab, &atlas, texels, (&how, "test"), None, &Silent)?;
+            let measure = Measure { lab, atlas: &atlas, truth: &truth, store: None, fresh: true, machine: "" };
             let mut scores = Vec::new();
             for &rung in rungs {
                 let mut settings = ladder::rung(&base, rung);
@@ -29,7 +29,7 @@ fn errors(scene: &Scene, rungs: &[u32], how: Exactness, with_photons: bool) -> V
                 }
                 let trial = Trial::Bake(Box::new(settings));
                 let attempt = Attempt { method: OWN.into(), value: rung.to_string(), x: ladder::work(rung), trial };
-                let point = measure.point(&together(&base), &attempt, &Silent)?;
+                let point = measure.point(&together(&base, &[]), &attempt, &Silent)?;
                 let s = point.score;
                 println!(
                     "{}, rung {rung}{}: {} surfels, RMSE {:.2} ({:.2} to {:.2}) %, bias {:+.2} ({:+.2} to {:+.2}) %, reference noise {:.2} % \
@@ -54,13 +54,12 @@ fn errors(scene: &Scene, rungs: &[u32], how: Exactness, with_photons: bool) -> V
     .unwrap_or_else(|e| panic!("{}: {e}", scene.name))
 }
 
-/// Every rung is better than the one before it, the last one is below `most`, and its bias is not told from none by more
-/// than a third of that.
+/// Every rung is better than the one before it, the last one is below `most`, and so is all that its bias may be.
 fn assert_falls(scores: &[Score], most: f64) {
     assert!(scores.windows(2).all(|w| w[1].rmse < w[0].rmse), "{scores:?}");
     let last = scores.last().expect("there are rungs");
     assert!(last.rmse < most, "{last:?}");
-    assert!(last.bias_low < most / 3.0 && last.bias_high > -most / 3.0, "{last:?}");
+    assert!(last.bias_low > -most && last.bias_high < most, "{last:?}");
 }
 
 const QUICK: Exactness = Exactness { texels: 250, noise: 0.006, paths: 16_384 };

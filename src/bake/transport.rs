@@ -204,8 +204,7 @@ impl Transport {
         let radiance = |direction| weight.map_or(Rgb::ZERO, |weight| weight * sky.radiance(direction));
         let (closed, is_coarse) = (&mut self.closed, self.is_coarse);
         let area = 1.0 / (rays.geometry.frame.scale * rays.geometry.frame.scale);
-        let mut books = None;
-        let (mut solution, mut record) =
+        let (mut solution, mut record, sweeps, solved) =
             journal.always(Stage::Propagate, plan.reason(Stage::Propagate), None, |progress, counters| {
                 let closed = *closed.get_or_insert_with(|| is_known_closed(rays, &surfels, settings));
                 let how = SolveSettings { closed, ..solve_settings(settings) };
@@ -215,15 +214,19 @@ impl Transport {
                 counters.insert("stiff_steps".into(), u64::from(report.stiff_steps));
                 counters.insert("discrete_rays".into(), report.discrete_rays);
                 counters.insert("closed".into(), u64::from(how.closed));
-                if !is_coarse {
-                    let shot = emitters.as_ref().map(|emitters| shot(rays, emitters, &surfels, &direct, progress));
-                    let sky = weight.map(|_| sky_flux(rays, &surfels, &radiance, progress));
-                    let sweeps = report.ledger.scaled(area).stages;
-                    let own = books.insert(Books::open(shot.transpose()?));
-                    own.propagate(&sweeps, report.bounces.len(), report.stiff_steps > 0, sky.transpose()?);
-                }
-                Ok((solution, Record::new(&report, rays.geometry.frame.scale)))
+                let sweeps = report.ledger.scaled(area).stages;
+                let solved = (report.bounces.len(), report.stiff_steps > 0);
+                Ok((solution, Record::new(&report, rays.geometry.frame.scale), sweeps, solved))
             })?;
+        let mut books = None;
+        if !is_coarse {
+            // The books have rays of their own, which are no part of the method and of its times.
+            let progress = journal.progress;
+            let shot = emitters.as_ref().map(|emitters| shot(rays, emitters, &surfels, &direct, progress));
+            let sky = weight.map(|_| sky_flux(rays, &surfels, &radiance, progress));
+            let own = books.insert(Books::open(shot.transpose()?));
+            own.propagate(&sweeps, solved.0, solved.1, sky.transpose()?);
+        }
         counted.push((Stage::Propagate, journal.last(Stage::Propagate)));
         let refreshed = journal.run(plan, Stage::Refresh, Some(count), |progress, counters| {
             let mut refreshed = {

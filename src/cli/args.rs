@@ -153,7 +153,7 @@ wall-clock time of all that the method needs, and rays where it counts them. For
 
 Events of --json, one object per line, with their fields:
   started, progress, finished                          stages, as of luxel bake
-  pass         scene, method, pass, draws, seconds, error, outputs    with --progressive or --time
+  pass         scene, method, pass, draws, seconds, error, outputs    of samples; of paths with --progressive or --time
   rendered     scene, method, draws, seconds, width, height, samples, points, rays, error, exposure, outputs, warnings
   compared     scene, against, width, height, exposure, reflected, methods, outputs, warnings   of --compare; each of the
                                                        methods has method, draws, seconds, samples, points, rays,
@@ -224,7 +224,7 @@ Examples:
 Events of --json, one object per line, with their fields, besides those of stages (luxel bake --help):
   point    scene, point                           one measurement
   report   scene, findings                        laws, advice, Table 1, files
-  target   scene, rung, settings, flags, rmse, rmse_most, seconds, reached
+  target   scene, rung, flags, rmse, rmse_most, seconds, reached
 
 Exit codes: 0 done, 1 some scenes failed or their target is out of reach, 2 wrong usage, 130 interrupted.";
 
@@ -308,7 +308,8 @@ pub struct Baking {
     #[arg(long)]
     pub force: bool,
     /// Use the least settings with which the RMSE is below this share of the mean irradiance (2%): they are tried once at
-    /// some hundred texels, and kept in the store
+    /// some hundred texels, and kept in the store. Settings that are chosen by name stay as they are. --check tries
+    /// nothing: a scene whose settings are not known yet is stale
     #[arg(long, value_name = "SHARE", value_parser = amount::share)]
     pub target_error: Option<f64>,
     /// Compare the lightmap with the reference path tracer at so many random texels: error with its 95 % confidence
@@ -392,7 +393,7 @@ pub struct Render {
     pub samples: Option<NonZeroU32>,
     /// Photons of --method photons [default: 50000]
     #[arg(long, value_name = "N", help_heading = PICTURE)]
-    pub photons: Option<NonZeroU32>,
+    pub map_photons: Option<NonZeroU32>,
     /// Write the picture as it gets better, by the method paths; samples does so unasked
     #[arg(long, conflicts_with = "compare", help_heading = PICTURE)]
     pub progressive: bool,
@@ -450,15 +451,19 @@ fn png(text: &str) -> Result<PathBuf, String> {
     if is_png { Ok(path) } else { Err("expected the name of a .png".into()) }
 }
 
+/// Arguments of a whole report, which say nothing where settings are looked for.
+const WHOLE: [&str; 9] =
+    ["texels", "noise", "paths", "sweep", "no_methods", "no_together", "no_table", "no_maps", "fresh"];
+
 #[derive(Debug, Args)]
 pub struct Report {
     #[command(flatten)]
     pub bake: Bake,
     /// Print the settings with which the RMSE is below this share of the mean irradiance, and do nothing else
-    #[arg(long, value_name = "SHARE", value_parser = amount::share)]
+    #[arg(long, value_name = "SHARE", value_parser = amount::share, conflicts_with_all = WHOLE)]
     pub target_error: Option<f64>,
     /// Print the best settings with which light takes at most so long on this machine, and do nothing else
-    #[arg(long, value_name = "TIME", value_parser = amount::time, conflicts_with = "target_error")]
+    #[arg(long, value_name = "TIME", value_parser = amount::time, conflicts_with_all = WHOLE, conflicts_with = "target_error")]
     pub target_time: Option<Duration>,
     /// Texels at which errors are measured
     #[arg(long, value_name = "N", default_value_t = 400, value_parser = clap::value_parser!(u32).range(10..=1_000_000))]

@@ -104,8 +104,14 @@ impl Fleet<'_> {
     fn state(&self, scene: &Path, outputs: OutputSet, reporter: &Reporter) -> Result<Seen, Error> {
         let settings = for_scene(scene, self.task.config.as_ref(), &self.args.bake.common.settings.0)?;
         let settings = match self.args.target_error {
-            Some(target) => self.settings_for(scene, settings, target, outputs.folder(), reporter)?,
             None => settings,
+            Some(target) => match self.settings_for(scene, settings, target, outputs.folder(), reporter)? {
+                Some(settings) => settings,
+                None => {
+                    print::stale(reporter, scene, &[Reason::Untried]);
+                    return Ok(Seen::Over(End::Stale));
+                }
+            },
         };
         if !self.args.force {
             match current::check(scene, &outputs, &settings, reporter)? {
@@ -125,7 +131,8 @@ impl Fleet<'_> {
         Ok(if self.args.check { Seen::Over(End::Stale) } else { Seen::Stale(outputs, Box::new(settings)) })
     }
 
-    /// The settings that keep an error. Trials take all threads and the memory of a small bake, so scenes take turns.
+    /// The settings that keep an error; none where `--check` forbids to find them. Trials take all threads and the memory
+    /// of a small bake, so scenes take turns.
     fn settings_for(
         &self,
         scene: &Path,
@@ -133,10 +140,10 @@ impl Fleet<'_> {
         target: f64,
         outputs: &Path,
         reporter: &Reporter,
-    ) -> Result<Resolved, Error> {
+    ) -> Result<Option<Resolved>, Error> {
         let _turn = self.trials.lock().unwrap_or_else(PoisonError::into_inner);
         let store = self.args.bake.storing.options().open(outputs);
-        budget::settings_for(scene, settings, target, &store, reporter)
+        budget::settings_for(scene, settings, target, (&store, !self.args.check), reporter)
     }
 
     /// What current outputs say to what is asked of their error.

@@ -103,7 +103,7 @@ fn draws(args: &Render, entry: &Entry) -> u32 {
     let said = match draws.name {
         "paths" => args.paths,
         "passes" => args.samples,
-        "photons" => args.photons,
+        "photons" => args.map_photons,
         _ => None,
     };
     // Where time is what bounds it, nothing else does.

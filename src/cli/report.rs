@@ -7,7 +7,7 @@ use luxel::bake::lab;
 use luxel::discover::Found;
 use luxel::settings::{Origin, Resolved, Settings, for_scene, value::Texels};
 use luxel::store::Store;
-use luxel::study::{Order, Point, budget, run, series, study, truth::Exactness};
+use luxel::study::{Order, Point, budget, budget::Question, run, series, study, truth::Exactness};
 use luxel::text::shown;
 use luxel_export::{ExportError, OutputSet};
 use serde_json::json;
@@ -29,13 +29,14 @@ const NONE: &str = "none";
 pub fn report(args: &Report) -> anyhow::Result<u8> {
     let Bake { common, out, storing } = &args.bake;
     let sweeps = sweeps(args)?;
-    let task = prepare(common, out.as_deref())?;
+    let mut task = prepare(common, out.as_deref())?;
+    task.deed = "reported on";
     let places = places_by(&task.found, "--out", |found| target(found, out.as_deref()))?;
     each(&task, places, |found, outputs, reporter| {
         let resolved = for_scene(&found.scene, task.config.as_ref(), &common.settings.0)?;
         let store = storing.options().open(outputs.folder());
         let done = lab::on_threads(&resolved.settings, || match goal(args) {
-            Some(goal) => settle(found, &resolved.settings, goal, &store, reporter),
+            Some(goal) => settle(found, &resolved, goal, &store, reporter),
             None => whole(args, sweeps.clone(), found, &resolved, (&outputs, &store), reporter),
         });
         store.evict();
@@ -95,6 +96,7 @@ fn whole(
         table: !args.no_table,
         maps: !args.no_maps,
         fresh: args.fresh,
+        machine: machine(),
         notes: notes(settings),
     };
     let name = print::written(&found.scene);
@@ -133,11 +135,18 @@ fn small(resolved: &Resolved) -> Settings {
 
 /// How a report was made: the command, and on what it ran.
 fn notes(settings: &Settings) -> Vec<String> {
-    let command: Vec<String> = std::env::args().skip(1).map(|arg| luxel::text::plain(&arg).to_string()).collect();
+    let command: Vec<String> = std::env::args().skip(1).map(|arg| named(&arg)).collect();
     vec![
         format!("Made by `luxel {}`, version {}.", command.join(" "), env!("CARGO_PKG_VERSION")),
         format!("Machine: {}. Atlas of {} texels a side.", machine(), settings.size.0),
     ]
+}
+
+/// An argument without the folders of this machine.
+fn named(arg: &str) -> String {
+    let path = Path::new(arg);
+    let name = path.file_name().filter(|_| path.is_absolute()).map(|name| name.to_string_lossy().into_owned());
+    luxel::text::plain(&name.unwrap_or_else(|| arg.into())).to_string()
 }
 
 /// Processors, memory and system of this machine, as far as the system tells.
@@ -156,29 +165,31 @@ fn machine() -> String {
 }
 
 /// Finds the settings for a goal.
-fn settle(found: &Found, base: &Settings, goal: Goal, store: &Store, reporter: &Reporter) -> Result<End, Error> {
-    let scene = lab::load(&found.scene, base, reporter)?;
+fn settle(found: &Found, resolved: &Resolved, goal: Goal, store: &Store, reporter: &Reporter) -> Result<End, Error> {
+    let (base, fixed) = (&resolved.settings, &resolved.chosen()[..]);
+    let scene = &lab::load(&found.scene, base, reporter)?;
+    let question = Question { scene, base, fixed, store: Some(store) };
     let choice = match goal {
-        Goal::Error(error) => budget::for_error(&scene, base, error, Some(store), reporter)?,
-        Goal::Seconds(seconds) => budget::for_time(&scene, base, seconds, Some(store), reporter)?,
+        Goal::Error(error) => budget::for_error(&question, error, reporter)?,
+        Goal::Seconds(seconds) => budget::for_time(&question, seconds, &machine(), reporter)?,
     };
     reporter.finish();
-    let flags = choice.flags(base);
+    let flags = choice.flags(&question);
     let [rmse, most] = [choice.score.rmse, choice.score.rmse_high];
-    if reporter.style() == Style::Json {
-        event(&json!({
+    match reporter.style() {
+        Style::Json => event(&json!({
             "event": "target", "scene": print::written(&found.scene), "rung": choice.rung, "flags": flags,
             "rmse": rmse, "rmse_most": most, "seconds": choice.seconds, "reached": choice.is_reached,
-        }));
-    } else {
-        out(&format!(
-            "{}: RMSE {:.2} % (below {:.2} % with a certainty of 97.5 %), about {:.1} s of light at {}²\n{flags}\n",
+        })),
+        Style::Quiet => {}
+        Style::Lines | Style::Bar => out(&format!(
+            "{}: RMSE {:.2} % (95 % confidence: at most {:.2} %), about {:.1} s of light at {}²\n{flags}\n",
             shown(&found.scene),
             100.0 * rmse,
             100.0 * most,
             choice.seconds,
             base.size.0
-        ));
+        )),
     }
     if choice.is_reached { Ok(End::Done) } else { Err(out_of_reach(goal, &choice)) }
 }

@@ -54,6 +54,8 @@ pub enum Reason {
     Unverified {
         texels: u64,
     },
+    /// The settings for an error are wanted, and nobody has tried them.
+    Untried,
     /// An image of another bake under this scene's name.
     LeftOver {
         path: PathBuf,
@@ -76,6 +78,7 @@ impl Reason {
             Self::OutputChanged { .. } => "output-changed",
             Self::Mixed => "mixed",
             Self::Unverified { .. } => "not-verified",
+            Self::Untried => "not-tried",
             Self::LeftOver { .. } => "output-left-over",
         }
     }
@@ -107,6 +110,7 @@ impl fmt::Display for Reason {
             Self::OutputMissing { path } => write!(f, "the output {} is not there", shown(path)),
             Self::OutputChanged { path } => write!(f, "the output {} is not as it was written", shown(path)),
             Self::Mixed => write!(f, "its light groups were weighed anew by luxel export"),
+            Self::Untried => f.write_str("the settings for its target error are not known yet"),
             Self::Unverified { texels: 0 } => f.write_str("its error was not measured"),
             Self::Unverified { texels } => write!(f, "its error was measured at {texels} texels, too few to judge it"),
             Self::LeftOver { path } => write!(f, "{} was left over by another bake", shown(path)),

@@ -266,6 +266,12 @@ impl Default for Resolved {
 }
 
 impl Resolved {
+    /// Names of the settings that neither a default nor a preset decided.
+    pub fn chosen(&self) -> Vec<&'static str> {
+        let is_chosen = |origin: &Origin| !matches!(origin, Origin::Default | Origin::Preset(_));
+        self.list().filter(|(_, _, origin)| is_chosen(origin)).map(|(field, _, _)| field.name).collect()
+    }
+
     /// The same with other values, of which each that differs comes from `origin`.
     pub fn changed(self, settings: Settings, origin: &Origin) -> Self {
         let origins = FIELDS.iter().zip(self.origins);

@@ -58,10 +58,11 @@ pub fn verdict(list: &[Advice]) -> String {
 fn of(base: &Settings, series: &Series, points: &[Point]) -> Option<Advice> {
     let value = (Field::find(&series.name)?.get)(base);
     let own: Vec<(f64, f64)> = points.iter().filter(|p| p.series == series.name).map(|p| (p.x, p.score.rmse)).collect();
-    let fit = Fit::of(&own);
     let x = abscissa(&series.name, &value);
+    // A value that is no number on the axis, as exact light instead of photons, has no place on the law.
+    let fit = Fit::of(&own).filter(|_| x > 0.0);
     let at = |x: f64| fit.map_or(0.0, |fit| fit.error(x));
-    let share = fit.filter(|_| x > 0.0).map_or(0.0, |fit| (fit.own(x) / fit.error(x)).powi(2));
+    let share = fit.map_or(0.0, |fit| (fit.own(x) / fit.error(x)).powi(2));
     Some(Advice {
         setting: series.name.clone(),
         about: series.about.clone(),
@@ -89,6 +90,15 @@ mod tests {
             ..Point::default()
         };
         series.attempts.iter().map(|a| point(a.x)).collect()
+    }
+
+    #[test]
+    fn a_value_beside_the_axis_has_no_law() {
+        let base = Settings::default();
+        let law = Fit { order: 0.5, floor: 0.01, scale: 3.0, misfit: 0.0 };
+        let list = advise(&base, &sweeps(&base, false), &points("photons", law));
+        let photons = list.iter().find(|a| a.setting == "photons").unwrap();
+        assert_eq!((photons.fit, photons.now, photons.doubled, photons.share), (None, 0.0, 0.0, 0.0));
     }
 
     #[test]

@@ -1,29 +1,33 @@
 //! The settings for an error or for a time: the practical question.
 //!
-//! The rungs of the [`ladder`](super::ladder) are tried from below, each at a few hundred texels against the reference. For an
-//! error, the first rung wins whose RMSE is below it with a certainty of 97.5 %; that depends on scene and settings
-//! alone, so it can be stored and a bake with it has the same bytes everywhere. For a time, the last rung wins that
-//! fits into it on this machine; what belongs to texels counts as often as the lightmap has more of them than the trial.
+//! The rungs of the [`ladder`](super::ladder) are tried from below, each at a few hundred texels against the reference: all
+//! light, on fronts, on a small atlas before its seams are stitched. For an error, the first rung wins the upper end of
+//! whose 95 % interval is below it (each rung that is tried may pass by chance, 2.5 % of them); that depends on scene and
+//! settings alone, so it can be stored and a bake with it has the same bytes everywhere. For a time, the last rung wins
+//! that fits into it on this machine; what belongs to texels counts as often as the lightmap has more of them than the
+//! trial.
 
 use std::path::Path;
-use std::sync::Arc;
 
-use luxel_atlas::Atlas;
 use luxel_scene::{Progress, Scene, Uncounted};
 use serde::{Deserialize, Serialize};
 
 use super::ladder::{self, RUNGS};
 use super::measure::Measure;
+use super::run::whole_light;
 use super::series::{self, Series};
-use super::truth::{self, Exactness, Truth};
+use super::truth::{self, Exactness};
 use super::{Point, Score};
 use crate::Error;
 use crate::bake::artefact;
 use crate::bake::digest::Digest;
 use crate::bake::lab::{self, Lab};
 use crate::plan::Stage;
-use crate::settings::{FIELDS, LightGroups, Origin, Resolved, Settings, value::Texels};
-use crate::store::{Kind, Reader, Store};
+use crate::settings::{
+    FIELDS, Origin, Resolved, Settings,
+    value::{OrAuto, Texels},
+};
+use crate::store::{Key, Kind, Reader, Store};
 
 /// Side of the atlas on which rungs are tried: nodes stand no denser there than in a larger one.
 const SIDE: u32 = 128;
@@ -40,7 +44,7 @@ pub struct Choice {
     pub rung: u32,
     /// Of the trial.
     pub score: Score,
-    /// Estimated time of the light of the whole lightmap on this machine [s].
+    /// Estimated time of the light of the whole lightmap, where and when it was tried [s].
     pub seconds: f64,
     /// The target is reached.
     pub is_reached: bool,
@@ -48,29 +52,33 @@ pub struct Choice {
 
 impl Choice {
     /// The settings that it stands for.
-    pub fn settings(&self, base: &Settings) -> Settings {
-        ladder::rung(base, self.rung)
+    pub fn settings(&self, question: &Question) -> Settings {
+        ladder::rung_keeping(question.base, self.rung, question.fixed)
     }
 
-    /// Names and values of what differs from `base`, as flags.
-    pub fn flags(&self, base: &Settings) -> String {
-        let chosen = self.settings(base);
+    /// Names and values of what differs from the settings of the question, as flags.
+    pub fn flags(&self, question: &Question) -> String {
+        let (base, chosen) = (question.base, self.settings(question));
         let differ = FIELDS.iter().filter(|f| (f.get)(&chosen) != (f.get)(base));
         differ.map(|f| format!("--{} {}", f.flag(), (f.get)(&chosen))).collect::<Vec<_>>().join(" ")
     }
+}
+
+/// Of which scene settings are wanted, and what is already decided.
+#[derive(Clone, Copy)]
+pub struct Question<'a> {
+    pub scene: &'a Scene,
+    pub base: &'a Settings,
+    /// Settings that somebody chose, which stay as they are.
+    pub fixed: &'a [&'static str],
+    pub store: Option<&'a Store>,
 }
 
 /// The lowest rung whose error is below `target` (a share of the mean irradiance).
 ///
 /// # Errors
 /// As a bake, and for a target below [`LEAST`].
-pub fn for_error(
-    scene: &Scene,
-    base: &Settings,
-    target: f64,
-    store: Option<&Store>,
-    progress: &dyn Progress,
-) -> Result<Choice, Error> {
+pub fn for_error(question: &Question, target: f64, progress: &dyn Progress) -> Result<Choice, Error> {
     if target < LEAST {
         let what = format!(
             "an error of {} % cannot be promised: below {} % it is not told from the noise of the reference",
@@ -79,28 +87,49 @@ pub fn for_error(
         );
         return Err(Error::Target { what });
     }
-    climb(scene, base, (&format!("error {target}"), store), progress, |point, _| {
-        if point.score.rmse_high <= target { Verdict::Enough } else { Verdict::Higher { will_do: false } }
+    trial(question, progress, |trials| {
+        let (kept, key) = (question.store, key(trials, target));
+        if let Some(choice) = kept.and_then(|store| store.get(Kind::Choice, &key, read)) {
+            return Ok(choice);
+        }
+        let choice = ascend(trials, "", progress, |point, _| {
+            if point.score.rmse_high <= target { Verdict::Enough } else { Verdict::Higher { will_do: false } }
+        })?;
+        if let Some(store) = kept {
+            store.put(Kind::Choice, &key, |out| artefact::put_value(out, &choice));
+        }
+        Ok(choice)
     })
 }
 
-/// The highest rung whose light takes at most so many seconds here. Nothing of it is stored but measurements.
+/// What [`for_error`] found for this question before; nothing is tried.
+///
+/// # Errors
+/// When the work is cancelled.
+pub fn known(question: &Question, target: f64, progress: &dyn Progress) -> Result<Option<Choice>, Error> {
+    trial(question, progress, |trials| {
+        Ok(question.store.and_then(|store| store.get(Kind::Choice, &key(trials, target), read)))
+    })
+}
+
+fn read(body: &mut Reader) -> Result<Choice, String> {
+    artefact::body(body)
+}
+
+/// The highest rung whose light takes at most so many seconds on this `machine`.
 ///
 /// # Errors
 /// As a bake.
-pub fn for_time(
-    scene: &Scene,
-    base: &Settings,
-    seconds: f64,
-    store: Option<&Store>,
-    progress: &dyn Progress,
-) -> Result<Choice, Error> {
-    climb(scene, base, ("", store), progress, |_, estimate| {
-        if estimate <= seconds { Verdict::Higher { will_do: true } } else { Verdict::TooMuch }
+pub fn for_time(question: &Question, seconds: f64, machine: &str, progress: &dyn Progress) -> Result<Choice, Error> {
+    trial(question, progress, |trials| {
+        ascend(trials, machine, progress, |_, estimate| {
+            if estimate <= seconds { Verdict::Higher { will_do: true } } else { Verdict::TooMuch }
+        })
     })
 }
 
-/// The settings of a scene with those in their place that keep its RMSE below `target`.
+/// The settings of a scene with those in their place that keep its RMSE below `target`; none where nothing may be tried
+/// and they are not known. What somebody chose by name stays as it is.
 ///
 /// # Errors
 /// As a bake, and where no settings keep it.
@@ -108,19 +137,25 @@ pub fn settings_for(
     path: &Path,
     resolved: Resolved,
     target: f64,
-    store: &Store,
+    (store, may_try): (&Store, bool),
     progress: &dyn Progress,
-) -> Result<Resolved, Error> {
+) -> Result<Option<Resolved>, Error> {
     let base = &resolved.settings;
-    let choice = lab::on_threads(base, || {
-        let scene = lab::load(path, base, progress)?;
-        for_error(&scene, base, target, Some(store), progress)
+    let fixed = &resolved.chosen()[..];
+    let chosen = lab::on_threads(base, || {
+        let scene = &lab::load(path, base, progress)?;
+        let question = Question { scene, base, fixed, store: Some(store) };
+        let choice = match may_try {
+            true => Some(for_error(&question, target, progress)?),
+            false => known(&question, target, progress)?,
+        };
+        match choice {
+            Some(choice) if !choice.is_reached => Err(unreached(target, &choice)),
+            choice => Ok(choice.map(|choice| choice.settings(&question))),
+        }
     })?;
-    if !choice.is_reached {
-        return Err(unreached(target, &choice));
-    }
-    let chosen = choice.settings(base);
-    Ok(resolved.changed(chosen, &Origin::Target(format!("{} %", 100.0 * target))))
+    let origin = Origin::Target(format!("{} %", 100.0 * target));
+    Ok(chosen.map(|chosen| resolved.changed(chosen, &origin)))
 }
 
 /// What is said of an error that no rung reaches.
@@ -128,8 +163,8 @@ pub fn unreached(target: f64, choice: &Choice) -> Error {
     let [target, rmse, most] = [target, choice.score.rmse, choice.score.rmse_high].map(|e| 100.0 * e);
     Error::Target {
         what: format!(
-            "an error of {target:.2} % cannot be promised; the finest settings come to {rmse:.2} % (below {most:.2} % \
-             with a certainty of 97.5 %)"
+            "an error of {target:.2} % cannot be promised; the finest settings come to {rmse:.2} % (95 % confidence: \
+             at most {most:.2} %)"
         ),
     }
 }
@@ -145,57 +180,51 @@ enum Verdict {
     TooMuch,
 }
 
-/// Tries rung after rung. Under a name that is not empty the choice is stored.
-fn climb(
-    scene: &Scene,
-    base: &Settings,
-    (name, store): (&str, Option<&Store>),
+/// Where rungs are tried.
+struct Trials<'a> {
+    question: &'a Question<'a>,
+    lab: &'a Lab<'a>,
+    /// The settings of the trials: all light, on a small atlas.
+    small: &'a Settings,
+}
+
+fn trial<T>(
+    question: &Question,
+    progress: &dyn Progress,
+    work: impl FnOnce(&Trials) -> Result<T, Error>,
+) -> Result<T, Error> {
+    let size = Texels(question.base.size.0.min(SIDE));
+    let small = Settings { size, texel_density: OrAuto(None), ..whole_light(question.base) };
+    Lab::with(question.scene, &small, None, progress, |lab| work(&Trials { question, lab, small: &small }))
+}
+
+/// Digest of what a choice follows from.
+fn key(trials: &Trials, target: f64) -> Key {
+    let digest = Digest::new("choice").number(super::VERSION).double(target).bytes(&trials.lab.identity());
+    let digest = Stage::ALL.into_iter().fold(digest, Digest::version);
+    let digest = trials.question.fixed.iter().fold(digest, |digest, name| digest.text(name));
+    let told = FIELDS.iter().filter(|field| crate::bake::matters(field.name));
+    told.fold(digest, |digest, field| digest.setting(trials.question.base, field.name)).done()
+}
+
+fn ascend(
+    trials: &Trials,
+    machine: &str,
     progress: &dyn Progress,
     judge: impl Fn(&Point, f64) -> Verdict,
 ) -> Result<Choice, Error> {
-    let small = Settings { size: Texels(base.size.0.min(SIDE)), light_groups: LightGroups::One, ..base.clone() };
-    Lab::with(scene, &small, None, progress, |lab| {
-        let digest = Digest::new("choice").number(super::VERSION).text(name).bytes(&lab.identity());
-        let digest = Stage::ALL.into_iter().fold(digest, Digest::version);
-        let told = FIELDS.iter().filter(|field| crate::bake::matters(field.name));
-        let key = told.fold(digest, |digest, field| digest.setting(base, field.name)).done();
-        let read = |body: &mut Reader| artefact::body::<Choice>(body);
-        let kept = store.filter(|_| !name.is_empty());
-        if let Some(choice) = kept.and_then(|store| store.get(Kind::Choice, &key, read)) {
-            return Ok(choice);
-        }
-        let (atlas, _) = lab::lay_out(scene, &small, progress)?;
-        let texels = truth::texels(lab, &atlas, TRUTH.texels);
-        let truth = truth::truth(lab, &atlas, texels, &TRUTH, store, progress)?;
-        let choice =
-            ascend(&Trials { lab, atlas: &atlas, truth: &truth, store, small: &small, base }, progress, judge)?;
-        if let Some(store) = kept {
-            store.put(Kind::Choice, &key, |out| artefact::put_value(out, &choice));
-        }
-        Ok(choice)
-    })
-}
-
-/// Where rungs are tried.
-struct Trials<'a> {
-    lab: &'a Lab<'a>,
-    atlas: &'a Arc<Atlas>,
-    truth: &'a Truth,
-    store: Option<&'a Store>,
-    small: &'a Settings,
-    base: &'a Settings,
-}
-
-fn ascend(trials: &Trials, progress: &dyn Progress, judge: impl Fn(&Point, f64) -> Verdict) -> Result<Choice, Error> {
-    let Trials { lab, atlas, truth, store, small, base } = trials;
-    let measure = Measure { lab, atlas, truth, store: *store, fresh: false };
-    let series: Series = series::together(small);
+    let Trials { question, lab, small } = trials;
+    let (atlas, report) = lab::lay_out(question.scene, small, progress)?;
+    let texels = truth::texels(lab, &atlas, TRUTH.texels);
+    let truth = truth::truth(lab, &atlas, texels, (&TRUTH, "target"), question.store, progress)?;
+    let measure = Measure { lab, atlas: &atlas, truth: &truth, store: question.store, fresh: false, machine };
+    let series: Series = series::together(small, question.fixed);
     progress.begin("trials", u64::from(RUNGS));
     let mut last: Option<Choice> = None;
     for (rung, attempt) in (0..).zip(&series.attempts) {
         let point = measure.point(&series, attempt, &Uncounted(progress))?;
         progress.advance(1);
-        let seconds = estimate(&point, base, small);
+        let seconds = estimate(&point, question.base, report.density);
         let choice = |is_reached| Choice { rung, score: point.score, seconds, is_reached };
         match judge(&point, seconds) {
             Verdict::Enough => return Ok(choice(true)),
@@ -208,7 +237,11 @@ fn ascend(trials: &Trials, progress: &dyn Progress, judge: impl Fn(&Point, f64) 
 }
 
 /// The time of the whole lightmap's light: what belongs to texels grows with their number, surfels stay as they are.
-fn estimate(point: &Point, base: &Settings, small: &Settings) -> f64 {
-    let ratio = f64::from(base.size.0) / f64::from(small.size.0);
-    point.seconds + point.texel_seconds * (ratio * ratio - 1.0).max(0.0)
+/// `density` is that of the trial [texels per scene unit].
+fn estimate(point: &Point, base: &Settings, density: f64) -> f64 {
+    let finer = match base.texel_density.0 {
+        Some(wanted) if density > 0.0 => f64::from(wanted) / density,
+        _ => f64::from(base.size.0) / f64::from(base.size.0.min(SIDE)),
+    };
+    point.seconds + point.texel_seconds * (finer * finer - 1.0)
 }

@@ -5,7 +5,7 @@
 //! the root of their number, and noise the root of the number of samples.
 
 use crate::settings::value::{Count, Samples, Spacing, Tolerance};
-use crate::settings::{GatherMode, Settings, Voxels};
+use crate::settings::{FIELDS, GatherMode, Settings, Voxels};
 
 /// Rungs of the ladder.
 pub const RUNGS: u32 = 8;
@@ -36,6 +36,16 @@ pub fn rung(base: &Settings, rung: u32) -> Settings {
     }
 }
 
+/// The same where somebody has chosen the values of the settings `fixed`, which stay as they are.
+pub fn rung_keeping(base: &Settings, number: u32, fixed: &[&str]) -> Settings {
+    let mut settings = rung(base, number);
+    for field in FIELDS.iter().filter(|field| fixed.contains(&field.name)) {
+        let is_kept = field.assign(&mut settings, &(field.get)(base));
+        debug_assert!(is_kept, "{}", field.name);
+    }
+    settings
+}
+
 /// What a rung stands for on an axis: surfels along a side, by which all the others go.
 pub fn work(rung: u32) -> f64 {
     (f64::from(SURFELS) * libm::pow(2.0, f64::from(rung))).sqrt()
@@ -44,7 +54,7 @@ pub fn work(rung: u32) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::settings::{FIELDS, Preset};
+    use crate::settings::Preset;
 
     #[test]
     fn every_rung_asks_for_more_than_the_one_below() {
@@ -56,6 +66,10 @@ mod tests {
             assert!(b.near_rays.0 > a.near_rays.0 && b.node_spacing.0 <= a.node_spacing.0);
             assert!(b.shadow_samples.0 >= a.shadow_samples.0 && b.sky_rays.0 > a.sky_rays.0);
         }
+        // What somebody chose stays.
+        let chosen = Settings { voxels: Voxels::Side(77), ..base.clone() };
+        let kept = rung_keeping(&chosen, 3, &["voxels"]);
+        assert_eq!(kept, Settings { voxels: Voxels::Side(77), ..rung(&base, 3) });
         // Values are written and read back on their way through a settings layer.
         for settings in &rungs {
             let mut copy = Settings::default();

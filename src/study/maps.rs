@@ -14,7 +14,10 @@ use luxel_scene::Progress;
 use super::truth::{self, Exactness};
 use crate::Error;
 use crate::bake::lab::{self, Lab};
-use crate::settings::{LightGroups, Settings, value::Texels};
+use crate::settings::{
+    Settings,
+    value::{OrAuto, Texels},
+};
 use crate::store::Store;
 
 /// Side of the atlas that is mapped: every texel of it takes paths.
@@ -38,12 +41,20 @@ const NOTHING: [u8; 3] = [96, 96, 96];
 ///
 /// # Errors
 /// As a bake.
-pub fn draw(lab: &Lab, base: &Settings, store: Option<&Store>, progress: &dyn Progress) -> Result<Vec<u8>, Error> {
-    let small = Settings { size: Texels(SIDE), light_groups: LightGroups::One, ..base.clone() };
+pub fn draw(
+    lab: &Lab,
+    base: &Settings,
+    most: &Exactness,
+    store: Option<&Store>,
+    progress: &dyn Progress,
+) -> Result<Vec<u8>, Error> {
+    let texel_density = OrAuto(None);
+    let small = Settings { size: Texels(SIDE), texel_density, ..base.clone() };
+    let how = Exactness { noise: TRUTH.noise.max(most.noise), paths: TRUTH.paths.min(most.paths), ..TRUTH };
     let (atlas, _) = lab::lay_out(lab.scene(), &small, progress)?;
     let lab = lab.tuned(&small);
     let all = (0..atlas.texels.len()).collect();
-    let truth = truth::truth(&lab, &atlas, all, &TRUTH, store, progress)?;
+    let truth = truth::truth(&lab, &atlas, all, (&how, "maps"), store, progress)?;
     let trial = lab::attempt(lab.scene(), &small, &atlas, progress)?;
     let counts = |i: usize| atlas.texels[i].coverage() >= 0.5 && !trial.parts.buried[i];
     let found = |i: usize| trial.parts.total(i);

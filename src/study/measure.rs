@@ -17,7 +17,7 @@ use crate::Error;
 use crate::bake::{
     artefact,
     digest::Digest,
-    lab::{self, Cost, Lab, Technique},
+    lab::{self, Cache, Cost, Lab, Technique},
 };
 use crate::plan::Stage;
 use crate::settings::{FIELDS, Settings};
@@ -33,6 +33,8 @@ pub struct Measure<'a> {
     pub store: Option<&'a Store>,
     /// Makes all measurements anew.
     pub fresh: bool,
+    /// On what it runs: seconds of one machine are not those of another. Empty where only errors matter.
+    pub machine: &'a str,
 }
 
 /// What was found at the texels of the truth, and what it took at all of them.
@@ -70,14 +72,14 @@ impl Measure<'_> {
         Ok(Point { scene: name, series: series.name.clone(), method, value, x: attempt.x, ..point })
     }
 
-    /// Digest of what a measurement follows from: the truth with its paths, the method, and all settings.
+    /// Digest of what a measurement follows from: the truth with its paths, the method, all settings, the machine.
     fn key(&self, attempt: &Attempt) -> Key {
         let (technique, settings) = match &attempt.trial {
             Trial::Bake(settings) => ("bake".to_owned(), settings),
             Trial::Method(technique, settings) => (format!("{technique:?}"), settings),
         };
         let digest = Digest::new("measurement").number(super::VERSION).text(env!("CARGO_PKG_VERSION"));
-        let digest = digest.bytes(&self.truth.key).number(self.truth.paths.into()).text(&technique);
+        let digest = digest.bytes(&self.truth.key).number(self.truth.paths.into()).text(&technique).text(self.machine);
         let digest = Stage::ALL.into_iter().fold(digest, Digest::version);
         FIELDS.iter().fold(digest, |digest, field| digest.setting(settings, field.name)).done()
     }
@@ -131,12 +133,16 @@ impl Measure<'_> {
         let all: Vec<Light> = all?;
         let record = cache.and_then(|cache| cache.record.as_ref());
         let traced = |light: &Light| u64::from(light.rays);
+        let prepared = |cache: &Cache| {
+            let counters = cache.stages.iter().filter_map(|stage| stage.counters.get("continuous_rays"));
+            counters.sum::<u64>()
+        };
         Ok(Found {
             light: self.truth.texels.iter().map(|&i| all[i]).collect(),
             texel_seconds: cost.seconds,
             cost: cost + lab.rays_cost + cache.map_or(Cost::default(), |cache| cache.cost),
             surfels: cache.map_or(0, |cache| cache.surfels.list.len() as u64),
-            continuous_rays: all.iter().map(traced).sum(),
+            continuous_rays: all.iter().map(traced).sum::<u64>() + cache.map_or(0, prepared),
             discrete_rays: record.map_or(0, |record| record.discrete_rays),
         })
     }

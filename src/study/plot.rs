@@ -31,14 +31,14 @@ const COLOURS: [RGBColor; 8] = [
 /// Error against processor time of every method and of all rungs together, with the Pareto front of all points: those
 /// that no other beats in both.
 pub fn front(title: &str, points: &[Point], noise: f64) -> Result<String, String> {
-    let shown = |p: &&Point| p.score.rmse > 0.0 && p.cpu_seconds > 0.0;
+    let shown = |p: &&Point| p.score.mean > 0.0 && p.cpu_seconds > 0.0;
     let mut by: BTreeMap<&str, Vec<(f64, f64)>> = BTreeMap::new();
     for p in points.iter().filter(shown).filter(|p| p.method != OWN || p.series == "together") {
-        by.entry(&p.method).or_default().push((p.cpu_seconds, p.score.rmse));
+        by.entry(&p.method).or_default().push((p.cpu_seconds, visible(p, noise)));
     }
     let lines: Vec<Line> =
         by.into_iter().map(|(name, points)| Line { name: name.into(), points: sorted(points) }).collect();
-    let all: Vec<(f64, f64)> = points.iter().filter(shown).map(|p| (p.cpu_seconds, p.score.rmse)).collect();
+    let all: Vec<(f64, f64)> = points.iter().filter(shown).map(|p| (p.cpu_seconds, visible(p, noise))).collect();
     draw(title, "processor time of the light [s]", &lines, &pareto(all), noise)
 }
 
@@ -46,7 +46,7 @@ pub fn front(title: &str, points: &[Point], noise: f64) -> Result<String, String
 pub fn sweeps(title: &str, points: &[Point], noise: f64) -> Result<String, String> {
     let mut by: BTreeMap<&str, Vec<(f64, f64)>> = BTreeMap::new();
     for p in points.iter().filter(|p| p.method == OWN && p.series != "together" && p.x > 0.0) {
-        by.entry(&p.series).or_default().push((p.x, p.score.rmse));
+        by.entry(&p.series).or_default().push((p.x, visible(p, noise)));
     }
     let relative = |points: Vec<(f64, f64)>| {
         let finest = points.iter().map(|p| p.0).fold(0.0, f64::max);
@@ -55,6 +55,11 @@ pub fn sweeps(title: &str, points: &[Point], noise: f64) -> Result<String, Strin
     let lines: Vec<Line> =
         by.into_iter().map(|(name, points)| Line { name: name.into(), points: relative(points) }).collect();
     draw(title, "work in one setting, over the most that was tried", &lines, &[], noise)
+}
+
+/// An error that has a logarithm: one that is not told from none is drawn far below the noise of the reference.
+fn visible(p: &Point, noise: f64) -> f64 {
+    p.score.rmse.max(0.1 * noise).max(1e-6)
 }
 
 fn sorted(mut points: Vec<(f64, f64)>) -> Vec<(f64, f64)> {
@@ -178,7 +183,7 @@ mod tests {
             series: "path tracing".into(),
             x,
             cpu_seconds: x,
-            score: Score { rmse: e, ..Score::default() },
+            score: Score { rmse: e, mean: 1.0, ..Score::default() },
             ..Point::default()
         };
         let svg = front("Cornell", &[point(1.0, 0.1), point(4.0, 0.05)], 0.01).unwrap();

@@ -1,7 +1,7 @@
 //! The whole report of one scene.
 //!
-//! Every point is kept in the store as soon as it is measured, and the tables are written anew after each: whoever
-//! interrupts a long report loses the point at work and goes on from there the next time.
+//! Every point is kept in the store as soon as it is measured, and the CSV is written anew after each: whoever interrupts
+//! a long report loses the point at work and goes on from there the next time.
 
 use std::path::{Path, PathBuf};
 
@@ -20,8 +20,11 @@ use super::truth::{self, Exactness};
 use super::{Point, Score, maps, plot};
 use crate::Error;
 use crate::bake::lab::{self, Lab};
-use crate::settings::{LightGroups, Settings};
+use crate::settings::{DoubleSided, LightGroups, Only, Settings};
 use crate::store::Store;
+
+/// What the reference of a report is for.
+const REPORT: &str = "report";
 
 /// What is wanted of a report.
 #[derive(Clone, Debug, PartialEq)]
@@ -35,7 +38,9 @@ pub struct Order {
     pub maps: bool,
     /// Measures anew what was measured before.
     pub fresh: bool,
-    /// What the tables say about how they were made: the command, the machine.
+    /// On what it runs.
+    pub machine: String,
+    /// What the tables say about how they were made.
     pub notes: Vec<String>,
 }
 
@@ -82,20 +87,26 @@ pub fn study(
     progress: &dyn Progress,
     tell: &mut (dyn FnMut(&Point) + Send),
 ) -> Result<Findings, Error> {
-    // Light that one scene's lights make together: that is what the errors of settings are of.
-    let base = &Settings { light_groups: LightGroups::One, ..base.clone() };
+    let base = &whole_light(base);
     Lab::with(scene, base, None, progress, |lab| {
         let (atlas, _) = lab::lay_out(scene, base, progress)?;
         let texels = truth::texels(lab, &atlas, order.exactness.texels);
-        let truth = truth::truth(lab, &atlas, texels, &order.exactness, Some(store), progress)?;
-        let measure = Measure { lab, atlas: &atlas, truth: &truth, store: Some(store), fresh: order.fresh };
+        let truth = truth::truth(lab, &atlas, texels, (&order.exactness, REPORT), Some(store), progress)?;
+        let measure = Measure {
+            lab,
+            atlas: &atlas,
+            truth: &truth,
+            store: Some(store),
+            fresh: order.fresh,
+            machine: &order.machine,
+        };
         let mut book = Book { order, folder, stem, points: Vec::new(), files: Vec::new() };
         let sweeps: Vec<Series> = series::sweeps(base, !scene.sky.is_dark())
             .into_iter()
             .filter(|s| order.sweeps.as_ref().is_none_or(|wanted| wanted.contains(&s.name)))
             .collect();
         let mut all: Vec<Series> = vec![series::as_it_is(base)];
-        all.extend(order.together.then(|| series::together(base)));
+        all.extend(order.together.then(|| series::together(base, &[])));
         all.extend(if order.methods { series::methods(base) } else { Vec::new() });
         all.extend(sweeps.iter().cloned());
         let count = all.iter().map(|s| s.attempts.len() as u64).sum();
@@ -126,13 +137,20 @@ pub fn study(
             table1,
             files: Vec::new(),
         };
-        if order.maps {
-            let png = maps::draw(lab, base, Some(store), progress)?;
-            book.put("maps.png", &png)?;
-        }
         book.close(&mut findings)?;
+        if order.maps {
+            let png = maps::draw(lab, base, &order.exactness, Some(store), progress)?;
+            let path = folder.join(format!("{stem}.maps.png"));
+            write_atomic(&path, &png)?;
+            findings.files.push(path);
+        }
         Ok(findings)
     })
+}
+
+/// The settings with which errors are measured: of all light together, on fronts, which is what the reference has.
+pub(super) fn whole_light(base: &Settings) -> Settings {
+    Settings { light_groups: LightGroups::One, only: Only::All, double_sided: DoubleSided::Front, ..base.clone() }
 }
 
 /// The law of a series.

@@ -125,13 +125,13 @@ pub fn as_it_is(base: &Settings) -> Series {
     Series { name: "settings".into(), about: "the settings as they are".into(), attempts: vec![attempt] }
 }
 
-/// All parameters together, rung by rung.
-pub fn together(base: &Settings) -> Series {
+/// All parameters together, rung by rung, but for those that are `fixed`.
+pub fn together(base: &Settings, fixed: &[&str]) -> Series {
     let rung = |rung: u32| Attempt {
         method: OWN.into(),
         value: rung.to_string(),
         x: ladder::work(rung),
-        trial: Trial::Bake(Box::new(ladder::rung(base, rung))),
+        trial: Trial::Bake(Box::new(ladder::rung_keeping(base, rung, fixed))),
     };
     let attempts = (0..ladder::RUNGS).map(rung).collect();
     Series { name: "together".into(), about: "all settings together".into(), attempts }

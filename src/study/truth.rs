@@ -118,20 +118,24 @@ pub fn texels(lab: &Lab, atlas: &Atlas, count: usize) -> Vec<usize> {
 
 /// Walks until the reference is exact enough; what is stored of it is not walked again.
 ///
+/// References of one purpose share what is stored, so one may come out more exact than was asked for. Where something is
+/// decided by it that must not depend on earlier reports, the purpose is one that always asks for the same.
+///
 /// # Errors
 /// When the work is cancelled: the rounds until then are stored.
 pub fn truth(
     lab: &Lab,
     atlas: &Atlas,
     texels: Vec<usize>,
-    how: &Exactness,
+    (how, purpose): (&Exactness, &str),
     store: Option<&Store>,
     progress: &dyn Progress,
 ) -> Result<Truth, Error> {
     let receivers = lab.receivers(atlas);
     let receivers: Vec<Receiver> = texels.iter().map(|&i| receivers.receiver(i)).collect();
     let numbers: Vec<u64> = texels.iter().map(|&i| i as u64).collect();
-    let key = Digest::new("reference").number(super::VERSION).bytes(&lab.identity()).slice(&numbers).done();
+    let key =
+        Digest::new("reference").text(purpose).number(super::VERSION).bytes(&lab.identity()).slice(&numbers).done();
     let read = |body: &mut crate::store::Reader| artefact::body::<Sums>(body);
     let fits = |sums: &Sums| [sums.direct.len(), sums.indirect.len(), sums.variance.len()] == [texels.len(); 3];
     let stored = store.and_then(|store| store.get(Kind::Reference, &key, read)).filter(fits);

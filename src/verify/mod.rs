@@ -23,7 +23,7 @@ pub mod sample;
 pub mod score;
 
 use luxel_export::report::{Check, EnergyStage, PartError, Verification};
-use luxel_scene::{Progress, Scene};
+use luxel_scene::{Progress, Scene, Uncounted};
 use luxel_transport::{
     Rgb,
     direct::Visibility,
@@ -271,17 +271,6 @@ impl Trial<'_> {
             PartError { mean_lux: own, rmse, bias }
         };
         Ok((Some(told(true)), Some(told(false))))
-    }
-}
-
-/// Passes on that the work is no longer wanted, and nothing else.
-struct Uncounted<'a>(&'a dyn Progress);
-
-impl Progress for Uncounted<'_> {
-    fn begin(&self, _: &'static str, _: u64) {}
-    fn advance(&self, _: u64) {}
-    fn is_cancelled(&self) -> bool {
-        self.0.is_cancelled()
     }
 }
 

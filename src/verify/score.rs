@@ -31,6 +31,10 @@ const Z: f64 = 1.96;
 
 /// Resamples of the bootstrap.
 const RESAMPLES: u64 = 1000;
+const FEWEST: u64 = 100;
+
+/// Samples that all resamples pick together, about.
+const PICKS: u64 = 4_000_000;
 
 /// Below this share of the mean, light is as good as dark: what relative errors are relative to, at least.
 const FLOOR: f64 = 0.01;
@@ -79,7 +83,9 @@ pub struct Measure {
 pub fn measure(samples: &[Sample]) -> Measure {
     let total: f64 = samples.iter().map(|s| s.weight).sum();
     if samples.is_empty() || total <= 0.0 {
-        return Measure::default();
+        // Nothing was compared, so nothing is known: a gate must not take that for no error.
+        let anything = Interval { value: 0.0, low: 0.0, high: f64::MAX };
+        return Measure { rmse: anything, ..Measure::default() };
     }
     let mean = mean_of(samples, |s| y(s.expected));
     let over = if mean > 0.0 { mean } else { mean_of(samples, |s| y(s.found)) };
@@ -249,7 +255,9 @@ fn rmse(samples: &[Sample], mean: f64) -> Interval {
         return Interval { value: root(value), low: if terms.len() < 2 { 0.0 } else { root(value) }, high };
     }
     let n = terms.len() as u64;
-    let mut pivots: Vec<f64> = (0..RESAMPLES)
+    // Of many samples fewer resamples do, and nobody waits long for them.
+    let resamples = (PICKS / n).clamp(FEWEST, RESAMPLES);
+    let mut pivots: Vec<f64> = (0..resamples)
         .filter_map(|number| {
             let seed = combine(SEED, number);
             let drawn = (0..n).map(|k| terms[((u128::from(combine(seed, k)) * u128::from(n)) >> 64) as usize]);

@@ -20,7 +20,7 @@
 use std::f64::consts::PI;
 
 use glam::DVec3;
-use luxel_scene::{Cancelled, Progress};
+use luxel_scene::{Cancelled, Progress, Uncounted};
 use rayon::prelude::*;
 
 use crate::{
@@ -270,17 +270,6 @@ fn standard_error(values: &[DVec3]) -> DVec3 {
     let mean = values.iter().sum::<DVec3>() / n;
     let square: DVec3 = values.iter().map(|x| (*x - mean) * (*x - mean)).sum();
     (square / (n * (n - 1.0))).map(f64::sqrt)
-}
-
-/// Passes on that the work is no longer wanted, and nothing else.
-struct Uncounted<'a>(&'a dyn Progress);
-
-impl Progress for Uncounted<'_> {
-    fn begin(&self, _: &'static str, _: u64) {}
-    fn advance(&self, _: u64) {}
-    fn is_cancelled(&self) -> bool {
-        self.0.is_cancelled()
-    }
 }
 
 #[cfg(test)]

@@ -97,7 +97,7 @@ impl<'a> Reference<'a> {
         }
     }
 
-    /// Irradiance at a receiver by at least `samples` walks (a multiple of the number of batches). A receiver without
+    /// Irradiance at a receiver by `samples` walks, at least one, dealt to the batches as evenly as it goes. A receiver without
     /// a place or a normal, as on a degenerate triangle, receives nothing.
     pub fn irradiance(&self, receiver: &Receiver, samples: u32) -> Estimate {
         let usable =
@@ -106,8 +106,8 @@ impl<'a> Reference<'a> {
             return Estimate::default();
         }
         let batches = BATCHES.min(samples).max(1);
-        let length = samples.div_ceil(batches).max(1);
-        let means: Vec<Light> = (0..batches).map(|batch| self.batch(receiver, batch, length)).collect();
+        let length = |batch| (samples / batches + u32::from(batch < samples % batches)).max(1);
+        let means: Vec<Light> = (0..batches).map(|batch| self.batch(receiver, batch, length(batch))).collect();
         Estimate::of(&means)
     }
 

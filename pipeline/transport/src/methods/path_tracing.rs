@@ -13,7 +13,7 @@ pub struct PathTracing<'a> {
 }
 
 impl<'a> PathTracing<'a> {
-    /// So many walks a receiver, rounded up to a multiple of [`crate::reference::BATCHES`].
+    /// So many walks a receiver.
     pub fn new(tracer: &'a Reference<'a>, paths: u32) -> Self {
         Self { tracer, paths }
     }
