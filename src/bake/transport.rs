@@ -201,6 +201,7 @@ impl Transport {
                 Ok((solution, Record::new(&report, rays.geometry.frame.scale)))
             })?;
         counted.push((Stage::Propagate, journal.last(Stage::Propagate)));
+        drop(direct);
         let refreshed = journal.run(plan, Stage::Refresh, Some(count), |progress, counters| {
             let mut refreshed = {
                 let field = Field::build(rays, &surfels, &solution, progress)?;
@@ -208,7 +209,9 @@ impl Transport {
             };
             let closed = *closed.get_or_insert_with(|| is_known_closed(rays, &surfels, settings));
             let how = SolveSettings { closed, ..solve_settings(settings) };
-            let discrete = refine(&surfels, &solution.indirect, &mut refreshed.indirect, &how, progress)?;
+            // What was refreshed has its own copy of the direct light.
+            let before = std::mem::take(&mut solution).indirect;
+            let discrete = refine(&surfels, before, &mut refreshed.indirect, &how, progress)?;
             counters.insert("continuous_rays".into(), count * u64::from(settings.refresh.0));
             counters.insert("discrete_rays".into(), discrete);
             Ok(refreshed)
