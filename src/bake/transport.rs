@@ -228,6 +228,7 @@ impl Transport {
             own.propagate(&sweeps, solved.0, solved.1, sky.transpose()?);
         }
         counted.push((Stage::Propagate, journal.last(Stage::Propagate)));
+        drop(direct);
         let refreshed = journal.run(plan, Stage::Refresh, Some(count), |progress, counters| {
             let mut refreshed = {
                 let field = Field::build(rays, &surfels, &solution, progress)?;
@@ -235,7 +236,9 @@ impl Transport {
             };
             let closed = *closed.get_or_insert_with(|| is_known_closed(rays, &surfels, settings));
             let how = SolveSettings { closed, ..solve_settings(settings) };
-            let discrete = refine(&surfels, &solution.indirect, &mut refreshed.indirect, &how, progress)?;
+            // What was refreshed has its own copy of the direct light.
+            let before = std::mem::take(&mut solution).indirect;
+            let discrete = refine(&surfels, before, &mut refreshed.indirect, &how, progress)?;
             counters.insert("continuous_rays".into(), count * u64::from(settings.refresh.0));
             counters.insert("discrete_rays".into(), discrete);
             Ok(refreshed)

@@ -25,21 +25,21 @@ const MOST: u32 = 12;
 /// Share of all indirect light below which a term ends the series.
 const ENOUGH: f64 = 1e-5;
 
-/// Adds to refreshed irradiance what the defect of the irradiance `before` does to later bounces. Returns the discrete
-/// rays spent.
+/// Adds to refreshed irradiance what the defect of the irradiance `before`, whose memory is used, does to later bounces.
+/// Returns the discrete rays spent.
 ///
 /// # Errors
 /// When the work is cancelled.
 pub fn refine(
     surfels: &Surfels,
-    before: &[Rgb],
+    before: Vec<Rgb>,
     refreshed: &mut [Rgb],
     settings: &SolveSettings,
     progress: &dyn Progress,
 ) -> Result<u64, Cancelled> {
-    let reflected = |e: Vec<Rgb>| -> Vec<Rgb> { surfels.list.iter().zip(e).map(|(s, e)| s.albedo() * e).collect() };
     let total = flux(surfels, |i| refreshed[i]).element_sum();
-    let mut defect: Vec<Rgb> = refreshed.iter().zip(before).map(|(after, before)| *after - *before).collect();
+    let mut defect = before;
+    defect.iter_mut().zip(&*refreshed).for_each(|(before, after)| *before = *after - *before);
     let sweep = Sweep::new(surfels, settings.rule, settings.closed);
     let mut rays = 0;
     for term in 0..MOST {
@@ -48,7 +48,8 @@ pub fn refine(
         }
         let directions = settings.set.directions(DIRECTIONS, FIRST + term);
         rays += directions.len() as u64 * surfels.list.len() as u64;
-        defect = sweep.apply(&directions, reflected(defect), None, false, progress)?;
+        surfels.list.iter().zip(&mut defect).for_each(|(s, e)| *e *= s.albedo());
+        defect = sweep.apply(&directions, defect, None, false, progress)?;
         refreshed.iter_mut().zip(&defect).for_each(|(e, d)| *e += *d);
     }
     refreshed.iter_mut().for_each(|e| *e = e.max(Rgb::ZERO));

@@ -349,9 +349,9 @@ fn the_correction_takes_a_leak_away_and_leaves_a_furnace_alone() {
     let settings = closed();
     // A closed room with E₀ = 1 everywhere has E = 1 of indirect light at ρ = 0.5; one bounce of 1.2 brings 1.1.
     let mut refreshed = vec![Rgb::splat(1.1); n];
-    refine(&surfels, &vec![Rgb::splat(1.2); n], &mut refreshed, &settings, &Silent).unwrap();
+    refine(&surfels, vec![Rgb::splat(1.2); n], &mut refreshed, &settings, &Silent).unwrap();
     assert!((mean(&surfels, &refreshed) - 1.0).abs() < 1e-3, "{}", mean(&surfels, &refreshed));
     let mut right = vec![Rgb::ONE; n];
-    let rays = refine(&surfels, &right.clone(), &mut right, &settings, &Silent).unwrap();
+    let rays = refine(&surfels, right.clone(), &mut right, &settings, &Silent).unwrap();
     assert!(rays == 0 && right.iter().all(|e| *e == Rgb::ONE));
 }
