@@ -94,18 +94,11 @@ impl Books {
         }
     }
 
-    /// Books that indirect light was gathered anew at all surfels: what they absorb and let escape by it is other.
-    /// `area` is scene units squared over those of the frame.
-    pub fn refresh(&mut self, surfels: &Surfels, before: &Solution, after: &Solution, area: f64) {
-        let change = |i: usize| after.indirect[i].as_dvec3() - before.indirect[i].as_dvec3();
-        let (mut absorbed, mut reflected) = (DVec3::ZERO, DVec3::ZERO);
-        for (i, surfel) in surfels.list.iter().enumerate() {
-            let (albedo, arrived) = (surfel.albedo().as_dvec3(), change(i) * f64::from(surfel.area) * area);
-            absorbed += (1.0 - albedo) * arrived;
-            reflected += albedo * arrived;
-        }
-        self.last.absorbed += absorbed;
-        self.last.escaped += reflected * DVec3::from(self.flows.open());
+    /// Books that indirect light was gathered anew at all surfels: what they absorb and let escape by it is other. Both
+    /// are what [`parted`] says, `area` is scene units squared over those of the frame.
+    pub fn refresh(&mut self, before: [DVec3; 2], after: [DVec3; 2], area: f64) {
+        self.last.absorbed += (after[0] - before[0]) * area;
+        self.last.escaped += (after[1] - before[1]) * area * DVec3::from(self.flows.open());
         self.write("refresh".into());
     }
 
@@ -285,6 +278,12 @@ fn sum(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
 
 fn times(flux: [f64; 3], factor: [f64; 3]) -> [f64; 3] {
     [0, 1, 2].map(|i| flux[i] * factor[i])
+}
+
+/// The flux of indirect light at surfels that they absorb, and that they reflect [lux × squared frame units].
+pub fn parted(surfels: &Surfels, indirect: &[Rgb]) -> [DVec3; 2] {
+    let reflected = flux(surfels, |i| surfels.list[i].albedo() * indirect[i]);
+    [flux(surfels, |i| indirect[i]) - reflected, reflected]
 }
 
 #[cfg(test)]

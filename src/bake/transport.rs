@@ -21,7 +21,7 @@ use luxel_transport::{
 use super::Baking;
 use super::artefact::{self, head, put_slice, put_value};
 use super::direct;
-use super::energy::{self, Books};
+use super::energy::{self, Books, parted};
 use super::journal::{Counters, Journal, WRITTEN};
 use super::record::Record;
 use super::tracer::Tracer;
@@ -236,16 +236,17 @@ impl Transport {
             };
             let closed = *closed.get_or_insert_with(|| is_known_closed(rays, &surfels, settings));
             let how = SolveSettings { closed, ..solve_settings(settings) };
+            let sums = parted(&surfels, &solution.indirect);
             // What was refreshed has its own copy of the direct light.
             let before = std::mem::take(&mut solution).indirect;
             let discrete = refine(&surfels, before, &mut refreshed.indirect, &how, progress)?;
             counters.insert("continuous_rays".into(), count * u64::from(settings.refresh.0));
             counters.insert("discrete_rays".into(), discrete);
-            Ok(refreshed)
+            Ok((refreshed, sums))
         })?;
-        if let Some(refreshed) = refreshed {
+        if let Some((refreshed, before)) = refreshed {
             if let Some(books) = &mut books {
-                books.refresh(&surfels, &solution, &refreshed, area);
+                books.refresh(before, parted(&surfels, &refreshed.indirect), area);
             }
             solution = refreshed;
             counted.push((Stage::Refresh, journal.last(Stage::Refresh)));

@@ -21,7 +21,7 @@ pub struct Fit {
 }
 
 /// Candidates for the floor between 0 and the least error.
-const FLOORS: usize = 200;
+const FLOORS: usize = 1000;
 
 /// Largest order that is believed: above it two points near a floor decide.
 const STEEPEST: f64 = 4.0;
@@ -35,26 +35,30 @@ impl Fit {
         if points.len() < 3 || least > 0.9 * most {
             return None;
         }
-        let candidates = (0..FLOORS).map(|i| least * i as f64 / FLOORS as f64);
+        let candidates = (0..=FLOORS).map(|i| least * i as f64 / FLOORS as f64);
         let fits = candidates.filter_map(|floor| Self::above(&points, floor));
         fits.min_by(|a, b| a.misfit.total_cmp(&b.misfit))
     }
 
-    /// The line for a given floor.
+    /// The line for a given floor. A point counts by how much of its error is above the floor: d log e = w d log √(e² − e₀²)
+    /// with w = (e² − e₀²)/e², so that what lies on the floor has no say in the order.
     fn above(points: &[(f64, f64)], floor: f64) -> Option<Self> {
-        let n = points.len() as f64;
-        let logs: Vec<(f64, f64)> =
-            points.iter().map(|(x, e)| (x.ln(), 0.5 * (e * e - floor * floor).max(1e-30).ln())).collect();
-        let (mx, my) = (logs.iter().map(|l| l.0).sum::<f64>() / n, logs.iter().map(|l| l.1).sum::<f64>() / n);
-        let xx: f64 = logs.iter().map(|l| (l.0 - mx).powi(2)).sum();
-        let xy: f64 = logs.iter().map(|l| (l.0 - mx) * (l.1 - my)).sum();
-        if xx <= 0.0 {
+        let line = |(x, e): &(f64, f64)| {
+            let own = (e * e - floor * floor).max(1e-12 * e * e);
+            [(own / (e * e)).powi(2), x.ln(), 0.5 * own.ln()]
+        };
+        let logs: Vec<[f64; 3]> = points.iter().map(line).collect();
+        let sum = |of: &dyn Fn(f64, f64) -> f64| logs.iter().map(|[w, x, y]| w * of(*x, *y)).sum::<f64>();
+        let weight = sum(&|_, _| 1.0);
+        let (mx, my) = (sum(&|x, _| x) / weight, sum(&|_, y| y) / weight);
+        let xx = sum(&|x, _| (x - mx).powi(2));
+        if !(weight > 0.0 && xx > 0.0) {
             return None;
         }
-        let order = (-xy / xx).clamp(0.0, STEEPEST);
+        let order = (-sum(&|x, y| (x - mx) * (y - my)) / xx).clamp(0.0, STEEPEST);
         let fit = Self { order, floor, scale: (my + order * mx).exp(), misfit: 0.0 };
         let squares: f64 = points.iter().map(|(x, e)| (fit.error(*x).ln() - e.ln()).powi(2)).sum();
-        Some(Self { misfit: (squares / n).sqrt(), ..fit })
+        Some(Self { misfit: (squares / points.len() as f64).sqrt(), ..fit })
     }
 
     /// The error at x.

@@ -351,7 +351,8 @@ mod tests {
 
     #[test]
     fn darkness_and_nothing_are_no_error() {
-        assert_eq!(measure(&[]), Measure::default());
+        // Where nothing was compared, any error may be.
+        assert_eq!((measure(&[]).rmse.value, measure(&[]).rmse.high), (0.0, f64::MAX));
         let dark = Sample { weight: 1.0, ..Sample::default() };
         assert_eq!(measure(&[dark; 5]), Measure { samples: 5, ..Measure::default() });
         let lit = Sample { found: Vec3::ONE, ..dark };
