@@ -34,6 +34,19 @@ pub struct Flows {
 }
 
 impl Flows {
+    /// Notes what arrives where texels are. Which surfaces have any is no matter of the light at surfels, so this is done
+    /// anew for every gather. `area` is scene units squared over those of the frame.
+    pub fn receive(&mut self, geometry: &Geometry, surfels: &Surfels, solution: &Solution, area: f64) {
+        let comparable = comparable(geometry.scene);
+        let here = |i: usize| {
+            let surfel = &surfels.list[i];
+            !surfel.back() && comparable[geometry.triangles[surfel.triangle as usize].instance as usize]
+        };
+        let light = |i: usize| if here(i) { solution.direct[i] + solution.indirect[i] } else { Rgb::ZERO };
+        self.received = (flux(surfels, light) * area).to_array();
+        self.kept = (flux(surfels, |i| (Rgb::ONE - surfels.list[i].albedo()) * light(i)) * area).to_array();
+    }
+
     pub fn scaled(&self, factor: [f64; 3]) -> Self {
         let scaled = |flux| times(flux, factor);
         Self {
@@ -100,18 +113,6 @@ impl Books {
         self.last.absorbed += (after[0] - before[0]) * area;
         self.last.escaped += (after[1] - before[1]) * area * DVec3::from(self.flows.open());
         self.write("refresh".into());
-    }
-
-    /// Notes what arrives where texels are.
-    pub fn receive(&mut self, geometry: &Geometry, surfels: &Surfels, solution: &Solution, area: f64) {
-        let comparable = comparable(geometry.scene);
-        let here = |i: usize| {
-            let surfel = &surfels.list[i];
-            !surfel.back() && comparable[geometry.triangles[surfel.triangle as usize].instance as usize]
-        };
-        let light = |i: usize| if here(i) { solution.direct[i] + solution.indirect[i] } else { Rgb::ZERO };
-        self.flows.received = (flux(surfels, light) * area).to_array();
-        self.flows.kept = (flux(surfels, |i| (Rgb::ONE - surfels.list[i].albedo()) * light(i)) * area).to_array();
     }
 
     fn write(&mut self, name: String) {

@@ -251,8 +251,7 @@ impl Transport {
             solution = refreshed;
             counted.push((Stage::Refresh, journal.last(Stage::Refresh)));
         }
-        if let Some(mut books) = books {
-            books.receive(rays.geometry, &surfels, &solution, area);
+        if let Some(books) = books {
             (record.energy.stages, record.flows) = (books.stages, books.flows);
         }
         record.counters = counted.into_iter().map(|(stage, counters)| (stage.name().to_owned(), counters)).collect();

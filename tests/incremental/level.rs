@@ -92,7 +92,8 @@ impl Level {
             ("preset", "\"draft\""),
             ("size", "32"),
             ("voxels", "300"),
-            ("directions", "16"),
+            // Enough for later bounces to have fewer.
+            ("directions", "64"),
             ("shadow_samples", "4"),
             ("sky_rays", "16"),
             ("gather_rays", "16"),

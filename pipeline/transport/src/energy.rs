@@ -200,10 +200,11 @@ impl Lost {
         progress: &dyn Progress,
     ) -> Result<Self, Cancelled> {
         let mut own = emitters.clone();
-        let seeded = |identity: &mut u64| *identity = combine(*identity, SEED + u64::from(repeat));
-        own.areas.iter_mut().for_each(|l| seeded(&mut l.identity));
-        own.lamps.iter_mut().for_each(|l| seeded(&mut l.identity));
-        own.suns.iter_mut().for_each(|l| seeded(&mut l.identity));
+        // By their order: the books do not depend on what lights are called.
+        let areas = own.areas.iter_mut().map(|l| &mut l.identity);
+        let lamps = own.lamps.iter_mut().map(|l| &mut l.identity);
+        let identities = areas.chain(lamps).chain(own.suns.iter_mut().map(|l| &mut l.identity));
+        identities.zip(0u64..).for_each(|(identity, number)| *identity = combine(SEED + u64::from(repeat), number));
         let shot = shoot::photons(rays, &own, surfels, PHOTONS, &Uncounted(progress))?;
         let received = flux(surfels, |i| shot.irradiance[i]) / (own.scale * own.scale);
         let books = shot.ledger;
