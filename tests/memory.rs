@@ -270,6 +270,9 @@ fn a_whole_bake_and_its_plan() {
         let before = heap::lap().0;
         let baked = with_laps(&laps, || luxel::bake(&request, &laps).expect("a bake"));
         let peak = laps.0.lock().expect("laps").iter().map(|lap| lap.1).max().unwrap_or_default();
+        for lap in laps.0.lock().expect("laps").iter().filter(|lap| 10 * lap.1 > 8 * peak) {
+            println!("{}: {:.1} MiB, near the peak", lap.0, (lap.1 - before) as f64 / 1048576.0);
+        }
         (baked.report.counters["texels"] as f64, laps, (peak - before) as f64, plan.memory.total() as f64)
     };
     let mut scene = luxel_assets::cornell();

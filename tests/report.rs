@@ -21,7 +21,7 @@ fn quick(args: &[&str], folder: &TempDir) -> Run {
 }
 
 /// Settings are looked for from those of the scene alone.
-const PLAIN: [&str; 2] = ["--size", "32"];
+const PLAIN: [&str; 2] = ["--size", "128"];
 
 fn events(run: &Run, name: &str) -> Vec<Value> {
     let all = run.stdout.lines().map(|line| serde_json::from_str::<Value>(line).unwrap());

@@ -143,7 +143,8 @@ fn bake(source: &Path, flags: &[&str]) -> (tempfile::TempDir, Outputs) {
 #[test]
 fn encodings_of_sponza_give_the_same_light() {
     let Some(root) = scenes() else { return };
-    let flags = ["--preset", "draft", "--size", "256", "--sky", "1,1,1"];
+    // A budget of surfels is met by another size of voxels where the count differs by a hair.
+    let flags = ["--preset", "draft", "--size", "256", "--sky", "1,1,1", "--voxels", "side:96"];
     let plain = bake(&root.join("sponza/sponza_dabrovic.glb"), &flags).1;
     // Thousands of charts: texels enough that there is something to compare.
     let texels = plain.report["counters"]["texels"].as_u64().unwrap();

@@ -135,8 +135,8 @@ fn what_is_not_the_artefact_is_a_miss_that_is_told() {
         }
     };
     let version = KIND.format().version as u8;
-    faulty(patch(8, version - 1), "format version 0");
-    faulty(patch(8, version + 1), "format version 2");
+    faulty(patch(8, version - 1), &format!("format version {}", version - 1));
+    faulty(patch(8, version + 1), &format!("format version {}", version + 1));
     faulty(|path| fs::write(path, "").unwrap(), "torn");
     faulty(|path| fs::write(path, [7; 500]).unwrap(), "no luxel file");
     let another = |kind: Kind, number: u64| {

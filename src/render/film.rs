@@ -18,7 +18,7 @@ use super::pixel::{Pixel, Screen, Seen, Source};
 pub const FIRST: u32 = 4;
 
 /// Pixels of a band, about.
-const BAND: u32 = 1 << 14;
+const BAND: u32 = 1 << 12;
 
 /// Width of the blocks in which a band's points are asked for, so that those in a row lie side by side.
 const BLOCK: usize = 32;
@@ -97,19 +97,36 @@ pub fn expose(
     tone: &ToneMap,
     progress: &dyn Progress,
 ) -> Result<Picture, Cancelled> {
-    by_bands((BAND / screen.width).max(1), screen, light, tone, progress)
+    let picture = Picture::black(screen.width, screen.height);
+    by_bands((BAND / screen.width).max(1), screen, (light, tone), picture, progress)
+}
+
+/// The same without the part that surfaces reflect and without errors, which take more memory than the radiance.
+///
+/// # Errors
+/// When it is no longer wanted.
+pub fn glimpse(
+    screen: &Screen,
+    light: &dyn Illumination,
+    tone: &ToneMap,
+    progress: &dyn Progress,
+) -> Result<Picture, Cancelled> {
+    let mut picture = Picture::black(0, 0);
+    (picture.width, picture.height) = (screen.width, screen.height);
+    picture.radiance = vec![Rgb::ZERO; screen.width as usize * screen.height as usize];
+    by_bands((BAND / screen.width).max(1), screen, (light, tone), picture, progress)
 }
 
 /// The same, so many rows at a time.
 fn by_bands(
     rows: u32,
     screen: &Screen,
-    light: &dyn Illumination,
-    tone: &ToneMap,
+    (light, tone): (&dyn Illumination, &ToneMap),
+    picture: Picture,
     progress: &dyn Progress,
 ) -> Result<Picture, Cancelled> {
-    let Screen { width, height, .. } = *screen;
-    let mut film = Film { screen, light, tone, progress, picture: Picture::black(width, height) };
+    let height = screen.height;
+    let mut film = Film { screen, light, tone, progress, picture };
     let mut open = Open::default();
     for from in (0..height).step_by(rows as usize) {
         let to = (from + rows).min(height);
@@ -219,8 +236,10 @@ impl Film<'_> {
                 self.picture.spent.samples += pixel.samples.len() as u64;
                 let Seen { radiance, reflected, error } = pixel.mean();
                 let at = y as usize * screen.width as usize + x;
-                (self.picture.radiance[at], self.picture.reflected[at], self.picture.error[at]) =
-                    (radiance, reflected, error);
+                self.picture.radiance[at] = radiance;
+                // A glimpse has no place for these.
+                self.picture.reflected.get_mut(at).into_iter().for_each(|place| *place = reflected);
+                self.picture.error.get_mut(at).into_iter().for_each(|place| *place = error);
             }
             self.progress.advance(u64::from(screen.width));
         }
@@ -391,7 +410,8 @@ mod tests {
         scene.sky = Sky::Constant(Vec3::splat(0.25));
         let light = lamp(|p| (p.x * 0.01).sin().abs());
         seen(&scene, 8, |screen| {
-            let by = |rows| by_bands(rows, screen, &light, &TONE, &Silent).unwrap();
+            let dark = Picture::black(screen.width, screen.height);
+            let by = |rows| by_bands(rows, screen, (&light, &TONE), dark.clone(), &Silent).unwrap();
             let whole = by(SIDE);
             for rows in [1, 2, 5, 31] {
                 assert!(by(rows) == whole, "{rows}");

@@ -5,7 +5,7 @@ use luxel_scene::{Cancelled, Progress, Scene};
 
 use super::choose::choose;
 use super::exposure::estimate;
-use super::film::{Picture, expose};
+use super::film::{Picture, glimpse};
 use super::lens::{Lens, Size, camera};
 use super::light::ByLightmap;
 use super::march::Look;
@@ -29,7 +29,7 @@ pub fn preview(look: &Look, light: &ByLightmap, progress: &dyn Progress) -> Resu
     let lens = Lens::new(&camera, &geometry.frame, f64::from(width) / f64::from(height));
     let screen = Screen { look, lens: &lens, width, height, samples: SAMPLES, pass: 0 };
     let tone = estimate(&screen, light, progress)?;
-    expose(&screen, light, &tone, progress)
+    glimpse(&screen, light, &tone, progress)
 }
 
 /// What a scene without any light looks like.

@@ -150,23 +150,25 @@ impl Tracer<'_> {
 fn find(surfels: &Surfels, point: Vec3, normal: Vec3) -> Option<u32> {
     let place = (point - surfels.grid.origin) / surfels.grid.edge;
     let voxel = |shift: Vec3| (place + shift * 0.01).floor().as_ivec3();
-    find_in(surfels, voxel(Vec3::ZERO), normal).or_else(|| {
+    find_in(surfels, voxel(Vec3::ZERO), point, normal).or_else(|| {
         let corners = (0..8).map(|i| Vec3::new((i & 1) as f32, (i >> 1 & 1) as f32, (i >> 2) as f32) * 2.0 - 1.0);
-        corners.filter_map(|c| find_in(surfels, voxel(c), normal)).next()
+        corners.filter_map(|c| find_in(surfels, voxel(c), point, normal)).next()
     })
 }
 
 /// The surfel of a voxel that faces most nearly along `normal`, and not away from it.
-fn find_in(surfels: &Surfels, voxel: IVec3, normal: Vec3) -> Option<u32> {
+fn find_in(surfels: &Surfels, voxel: IVec3, point: Vec3, normal: Vec3) -> Option<u32> {
     let key = |v: IVec3| (v.x, v.y, v.z);
     let list = &surfels.list;
     let start = list.partition_point(|s| key(s.voxel()) < key(voxel));
-    let mut best: Option<(u32, f32)> = None;
-    for (i, s) in list[start..].iter().enumerate().take_while(|(_, s)| s.voxel() == voxel) {
-        let cosine = s.normal.dot(normal);
+    let mates = start..start + list[start..].iter().take_while(|s| s.voxel() == voxel).count();
+    let mut best: Option<(usize, f32)> = None;
+    for i in mates.clone() {
+        let cosine = list[i].normal.dot(normal);
         if cosine > best.map_or(0.0, |b| b.1) {
-            best = Some(((start + i) as u32, cosine));
+            best = Some((i, cosine));
         }
     }
-    best.map(|b| b.0)
+    // Walls may part a surface of one direction into several surfels.
+    best.map(|b| Surfels::owner(list, mates, b.0, point) as u32)
 }
