@@ -78,9 +78,10 @@ impl Stage {
     /// stored light of an older version is then made anew instead of being taken for this one's.
     pub fn version(self) -> u32 {
         match self {
-            Self::Surfels | Self::Propagate => 5,
-            Self::Unwrap | Self::Shoot | Self::Direct => 4,
-            Self::Gather | Self::Finish | Self::Preview | Self::Export | Self::Refresh => 3,
+            Self::Propagate => 6,
+            Self::Surfels => 5,
+            Self::Unwrap | Self::Shoot | Self::Direct | Self::Refresh => 4,
+            Self::Gather | Self::Finish | Self::Preview | Self::Export => 3,
             Self::Sky => 2,
             Self::Import | Self::Rays | Self::Cache | Self::Clear => 1,
         }

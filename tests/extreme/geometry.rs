@@ -171,16 +171,8 @@ fn a_single_voxel() {
         b.cuboid("room", Vec3::new(-0.5, 0.0, -0.7), Vec3::new(0.8, 0.9, 0.4), wall, true);
     });
     let lit = bake(&scene, &Settings { voxels: Voxels::Edge(10.0), ..coarse() });
-    assert_sound("a single voxel", &lit);
-    // Nothing is resolved: the sweep may find no bounce, and then one bounce by rays is all. Never less than that, and
-    // never more than all of them.
-    let texels = valid_texels(&lit, |_| true);
-    let glow = exact * 0.2;
-    for &i in &texels {
-        let e = f64::from(value(&lit, i).x);
-        assert!(e >= 0.999 * glow * 1.8 && e <= 1.001 * exact, "{e}");
-    }
-    println!("a single voxel: {} texels, mean E {:.4} of {exact:.4}", texels.len(), mean(&lit, &texels));
+    // One surfel a wall, and each sees the five others: the light of a furnace is even, so nothing has to be resolved.
+    assert_within("a single voxel", &scene, &lit, 0.005, |_| exact);
 }
 
 #[test]
@@ -326,7 +318,7 @@ fn peak() -> Option<f64> {
 
 #[test]
 fn seven_million_instanced_triangles() {
-    if !heavy("7 million instanced triangles") {
+    if !is_heavy("7 million instanced triangles") {
         return;
     }
     let scene = panels();

@@ -7,7 +7,9 @@ use luxel::Lit;
 use luxel::settings::{Settings, Voxels};
 use luxel_scene::{Scene, Silent, build::Builder};
 use luxel_transport::{
+    Rgb,
     geometry::Geometry,
+    solve::stiff,
     surfel::{Resolution, Surfels, VoxelSettings},
 };
 
@@ -23,15 +25,6 @@ pub fn coarse() -> Settings {
 
 pub fn sized(side: u32, voxels: u32) -> Settings {
     Settings { voxels: Voxels::Budget(voxels), ..medium(side) }
-}
-
-/// Whether the cases that take long are wanted; says so where not.
-pub fn heavy(name: &str) -> bool {
-    let wanted = std::env::var_os("LUXEL_HEAVY").is_some_and(|v| v == "1");
-    if !wanted {
-        println!("{name}: SKIPPED (takes longer than a minute; set LUXEL_HEAVY=1)");
-    }
-    wanted
 }
 
 /// All light of a bake, images and texels, is a finite irradiance.
@@ -78,4 +71,13 @@ pub fn mean(lit: &Lit, texels: &[usize]) -> f64 {
     let areas = areas(lit, texels);
     let y = |i: usize| f64::from(value(lit, i).element_sum()) / 3.0;
     texels.iter().zip(&areas).map(|(&i, a)| a * y(i)).sum::<f64>() / areas.iter().sum::<f64>()
+}
+
+/// x = source + ρTx in a closed room.
+pub fn closed_equation<'a>(
+    surfels: &'a Surfels,
+    reflectance: &'a dyn Fn(usize) -> Rgb,
+    source: &'a [Rgb],
+) -> stiff::Equation<'a> {
+    stiff::Equation { surfels, reflectance, source, rows: None }
 }

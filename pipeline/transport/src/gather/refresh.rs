@@ -2,8 +2,9 @@
 //! the place of what the sweep found, so that voxel bias and the leaks of thin walls shrink by about the albedo.
 //!
 //! Few rays never meet a small bright spot, or one does and counts for all: with a share s of all reflected flux and k
-//! times the mean radiosity, N rays find it with a relative error of √(sk/N). Where sk is above [`SPOT`] (half the light
-//! of a lamp that almost touches a wall), the surfel is taken out of what rays see, and every receiver aims at it:
+//! times the mean radiosity, which is met with the probability s/k and then k − 1 too bright, N rays find it with a
+//! relative error of √(s (k − 1)²/kN). Where s (k − 1)²/k is above [`SPOT`] (half the light of a lamp that almost
+//! touches a wall), the surfel is taken out of what rays see, and every receiver aims at it:
 //!
 //!   E += B · A cos θ cos θ' V / (πr² + A)     the form factor of a disc, V the transmittance of a shadow ray
 
@@ -23,7 +24,7 @@ use crate::{
 const CHUNK: usize = 256;
 const BREATH: usize = 32;
 
-/// Share of flux times relative radiosity from which on a surfel is a spot: 64 rays would leave an error of 3 %.
+/// Variance of what one ray sees of a surfel from which on it is a spot: 64 rays would leave an error of 3 %.
 const SPOT: f64 = 1.0 / 16.0;
 
 /// Spots, at most.
@@ -75,9 +76,14 @@ fn spots(field: &Field) -> Vec<Spot> {
     let radiosity = |i: usize| list[i].albedo() * field.solution.total(i);
     let flux = |i: usize| f64::from(list[i].area * radiosity(i).element_sum());
     let (all, area) = ((0..list.len()).map(flux).sum::<f64>(), field.surfels.area());
-    // s · k, with s = Φ/ΣΦ and k = (Φ/A)/(ΣΦ/ΣA).
-    let noise = |i: usize| flux(i) * flux(i) / (all * all) * area / f64::from(list[i].area);
-    let mut found: Vec<(f64, usize)> = (0..list.len()).map(|i| (noise(i), i)).filter(|(sk, _)| *sk > SPOT).collect();
+    // s = Φ/ΣΦ, k = (Φ/A)/(ΣΦ/ΣA).
+    let noise = |i: usize| {
+        let s = flux(i) / all;
+        let k = s * area / f64::from(list[i].area);
+        if k > 1.0 { s * (k - 1.0) * (k - 1.0) / k } else { 0.0 }
+    };
+    let mut found: Vec<(f64, usize)> =
+        (0..list.len()).map(|i| (noise(i), i)).filter(|(noise, _)| *noise > SPOT).collect();
     found.sort_unstable_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
     let spot = |(_, surfel): &(f64, usize)| {
         let (position, normal) = list[*surfel].place(field.rays.geometry);
@@ -113,4 +119,94 @@ fn from_spot(field: &Field, receiver: &Receiver, spot: &Spot) -> Rgb {
 pub(super) fn surfel_receiver(field: &Field, surfel: &Surfel) -> Receiver {
     let (position, normal) = surfel.place(field.rays.geometry);
     Receiver { position, normal, shading_normal: normal, footprint: surfel.area.sqrt(), seed: identity(surfel) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{
+        geometry::Geometry,
+        rays::Rays,
+        surfel::{Resolution, Surfels, VoxelSettings},
+    };
+    use luxel_scene::{Silent, build::Builder};
+
+    /// A grey floor and a ceiling of 4 × 4, 1 apart, and the light that `direct` gives to their surfels.
+    fn refreshed(direct: impl Fn(&Surfels, usize) -> f32, check: impl Fn(&Geometry, &Field, &Solution)) {
+        let mut b = Builder::new("floor and ceiling");
+        let grey = b.matte(Vec3::splat(0.5));
+        b.quad("floor", Vec3::new(-2.0, 0.0, 2.0), Vec3::X * 4.0, Vec3::NEG_Z * 4.0, grey);
+        b.quad("ceiling", Vec3::new(-2.0, 1.0, -2.0), Vec3::X * 4.0, Vec3::Z * 4.0, grey);
+        let scene = b.build();
+        let geometry = Geometry::new(&scene);
+        let rays = Rays::new(&geometry);
+        let settings = VoxelSettings { resolution: Resolution::Side(32), ..VoxelSettings::default() };
+        let surfels = Surfels::new(&geometry, &settings, &Silent).unwrap();
+        let light = (0..surfels.list.len()).map(|i| Rgb::splat(direct(&surfels, i))).collect();
+        let solution = Solution { direct: light, indirect: vec![Rgb::ZERO; surfels.list.len()] };
+        let field = Field::new(&rays, &surfels, &solution).unwrap();
+        check(&geometry, &field, &refresh(&field, 64, &|_| Rgb::ZERO, &Silent).unwrap());
+    }
+
+    #[test]
+    fn a_spot_of_light_is_found_by_every_surfel() {
+        let lamp = |surfels: &Surfels| {
+            let above = |i: &usize| surfels.list[*i].normal.y < 0.0;
+            let middle = |i: usize| surfels.list[i].centroid.with_y(0.0).length_squared();
+            (0..surfels.list.len()).filter(above).min_by(|a, b| middle(*a).total_cmp(&middle(*b))).unwrap()
+        };
+        let direct = |surfels: &Surfels, i: usize| if i == lamp(surfels) { 1000.0 } else { 0.0 };
+        refreshed(direct, |geometry, field, found| {
+            let lamp = lamp(field.surfels);
+            assert_eq!(spots(field).iter().map(|s| s.surfel).collect::<Vec<_>>(), [lamp]);
+            let (source, _) = field.surfels.list[lamp].place(geometry);
+            let floor = |i: &usize| field.surfels.list[*i].normal.y > 0.0;
+            for i in (0..field.surfels.list.len()).filter(floor) {
+                // B = ρE; a patch eight times as far as it is wide is a point: E = B·A·h²/(π d⁴).
+                let (place, _) = field.surfels.list[i].place(geometry);
+                let (h, d2) = (f64::from(source.y - place.y), f64::from(source.distance_squared(place)));
+                let area = f64::from(field.surfels.list[lamp].area);
+                let exact = 500.0 * area * h * h / (std::f64::consts::PI * d2 * d2);
+                let off = f64::from(found.indirect[i].x) / exact - 1.0;
+                assert!(off.abs() < 0.03, "surfel {i}: {off}");
+            }
+        });
+    }
+
+    #[test]
+    fn even_light_has_no_spots() {
+        refreshed(|_, _| 10.0, |_, field, _| assert!(spots(field).is_empty()));
+        // Nor has light on half of the floor, or none at all.
+        refreshed(
+            |s, i| if s.list[i].centroid.x < 0.0 { 10.0 } else { 0.0 },
+            |_, field, _| {
+                assert!(spots(field).is_empty());
+            },
+        );
+        refreshed(
+            |_, _| 0.0,
+            |_, field, found| {
+                assert!(spots(field).is_empty() && found.indirect.iter().all(|e| *e == Rgb::ZERO));
+            },
+        );
+    }
+
+    #[test]
+    fn a_wall_of_one_surfel_is_no_spot() {
+        // A sixth of all flux from a sixth of all area, as in a scene of one voxel, is no brighter than its surroundings.
+        let mut b = Builder::new("box");
+        let grey = b.matte(Vec3::splat(0.5));
+        b.cuboid("box", Vec3::ZERO, Vec3::ONE, grey, true);
+        let scene = b.build();
+        let geometry = Geometry::new(&scene);
+        let rays = Rays::new(&geometry);
+        let settings = VoxelSettings { resolution: Resolution::Edge(10.0), ..VoxelSettings::default() };
+        let surfels = Surfels::new(&geometry, &settings, &Silent).unwrap();
+        assert_eq!(surfels.list.len(), 6);
+        let solution = Solution { direct: vec![Rgb::splat(2.0); 6], indirect: vec![Rgb::ZERO; 6] };
+        let field = Field::new(&rays, &surfels, &solution).unwrap();
+        assert!(spots(&field).is_empty());
+        let found = refresh(&field, 16, &|_| Rgb::ZERO, &Silent).unwrap();
+        assert!(found.indirect.iter().all(|e| (*e - 1.0).abs().max_element() < 1e-5), "{:?}", found.indirect);
+    }
 }

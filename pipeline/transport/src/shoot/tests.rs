@@ -235,3 +235,41 @@ fn seeds_do_not_change_with_what_stands_before_in_the_scene() {
     values.dedup();
     assert!(values.len() > 60, "64 surfels have {} seeds", values.len());
 }
+
+#[test]
+fn the_spot_of_a_lamp_that_almost_touches_the_floor_is_not_missed() {
+    // Half of all light goes down: Φ = 2πI, but for the sliver that leaves past the borders of the floor. One surfel gets
+    // what its square fills of the sphere, Ω = 4 asin(sin²α), α the angle to the middle of its side.
+    let (height, n) = (2e-3, 16);
+    let mut b = ground();
+    let position = DVec3::new(0.125, height, 0.125);
+    b.light("lamp", LightKind::Point { position, range: None, radius: 0.0 }, Vec3::ONE);
+    let scene = b.build();
+    let geometry = Geometry::new(&scene);
+    let rays = Rays::new(&geometry);
+    let emitters = Emitters::new(&geometry);
+    let surfels = tiled(&geometry, n);
+    let direct = Direct::new(&rays, &emitters, DirectSettings::default());
+    let mut light = exact(&geometry, &surfels, &direct, 5, &Silent).unwrap().irradiance;
+    let area = (4.0 / f64::from(n)).powi(2);
+    let flux = |light: &[Rgb]| light.iter().map(|e| f64::from(e.x)).sum::<f64>() * area;
+    let before = flux(&light);
+    let spent = close(&rays, &emitters, &surfels, 5, &mut light, &Silent).unwrap();
+    let after = flux(&light);
+    println!("{before:.3} lm by points, {after:.3} lm with the spot, 2π = {:.3}", 2.0 * PI);
+    assert!(spent > 0 && (after / (2.0 * PI) - 1.0).abs() < 0.01 && (before / after - 1.0).abs() > 0.1);
+    let below = surfels.find(geometry.frame.point(DVec3::new(0.125, 0.0, 0.125)), Vec3::Y).unwrap();
+    let half = 2.0 / f64::from(n);
+    let alpha = (half / half.hypot(height)).asin();
+    let exact = 4.0 * (alpha.sin().powi(2)).asin() / area;
+    assert!((f64::from(light[below].x) / exact - 1.0).abs() < 0.01, "{} {exact}", light[below].x);
+    // Far from everything there is nothing to mend.
+    let mut b = ground();
+    b.light("lamp", LightKind::Point { position: DVec3::Y, range: None, radius: 0.0 }, Vec3::ONE);
+    let far = b.build();
+    let geometry = Geometry::new(&far);
+    let rays = Rays::new(&geometry);
+    let mut none = vec![Rgb::ZERO; surfels.list.len()];
+    assert_eq!(close(&rays, &Emitters::new(&geometry), &surfels, 5, &mut none, &Silent), Ok(0));
+    assert!(none.iter().all(|e| *e == Rgb::ZERO));
+}

@@ -372,7 +372,7 @@ impl Bounces<'_> {
                 break;
             }
             if bounce >= 3 && q > self.settings.stiff {
-                return self.solve_stiff(current_cache, q, total, global_cache);
+                return self.solve_stiff(current_cache, total, global_cache);
             }
         }
         // One bounce says nothing about the ratio of the series: then what was asked for is all there is.
@@ -391,13 +391,7 @@ impl Bounces<'_> {
         }
     }
 
-    fn solve_stiff(
-        &mut self,
-        current: Vec<Rgb>,
-        q: f64,
-        total: f64,
-        global_cache: &mut [Rgb],
-    ) -> Result<(), Cancelled> {
+    fn solve_stiff(&mut self, current: Vec<Rgb>, total: f64, global_cache: &mut [Rgb]) -> Result<(), Cancelled> {
         // A set of its own, the same for all steps: the operator must not change under the iteration.
         let directions = self.settings.set.directions(self.settings.stiff_directions, u32::MAX - 1);
         let source = self.reflected(current);
@@ -405,9 +399,11 @@ impl Bounces<'_> {
         let operator = |radiosity: &[Rgb]| sweep.apply(&directions, radiosity.to_vec(), None, grey, progress);
         let surfels = self.sweep.surfels();
         let reflectance = |i: usize| surfels.list[i].albedo();
-        let rest = stiff::solve(surfels, &reflectance, &source, q, total, self.settings.tolerance, operator)?;
-        self.report.stiff_steps = rest.steps;
-        self.report.discrete_rays += u64::from(rest.steps) * directions.len() as u64 * source.len() as u64;
+        let rows = if self.settings.closed { None } else { Some(operator(&vec![Rgb::ONE; source.len()])?) };
+        let equation = stiff::Equation { surfels, reflectance: &reflectance, source: &source, rows: rows.as_deref() };
+        let rest = stiff::solve(&equation, total, self.settings.tolerance, operator)?;
+        self.report.stiff_steps = rest.steps + u32::from(rows.is_some());
+        self.report.discrete_rays += u64::from(self.report.stiff_steps) * directions.len() as u64 * source.len() as u64;
         global_cache.iter_mut().zip(&rest.irradiance).for_each(|(g, e)| *g += *e);
         self.stages.push(self.arrived(self.sent(&rest.radiosity), &rest.irradiance, false));
         self.report.tail = if total > 0.0 { rest.remaining / (total + self.energy(&rest.irradiance)) } else { 0.0 };

@@ -129,3 +129,74 @@ fn number(mates: &[Surfel], wall: &Surfel, s: &Surfel, edge: f32) -> u8 {
     // The highest number stays odd for faces and even for the rest.
     if is_face { (2 * below + 1).min(MOST) } else { (2 * below).min(MOST - 1) }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{
+        Rgb,
+        surfel::{Grid, Patch},
+    };
+    use glam::{IVec3, Vec3};
+
+    /// Surfels of voxels of edge 1: voxel, centroid, normal.
+    fn surfels(list: &[(IVec3, Vec3, Vec3)]) -> Surfels {
+        let surfel = |&(voxel, centroid, normal): &(IVec3, Vec3, Vec3)| {
+            Surfel::from(Patch {
+                voxel,
+                centroid,
+                normal,
+                area: 0.5,
+                albedo: Rgb::splat(0.5),
+                fill: 1.0,
+                triangle: 0,
+                u: 0.0,
+                v: 0.0,
+                back: false,
+            })
+        };
+        let grid = Grid { origin: Vec3::ZERO, edge: 1.0, size: IVec3::splat(2) };
+        Surfels::dark(grid, list.iter().map(surfel).collect())
+    }
+
+    #[test]
+    fn a_wall_parts_the_floor_on_both_of_its_sides() {
+        let at = |x: f32, y: f32, normal: Vec3| (IVec3::ZERO, Vec3::new(x, y, 0.5), normal);
+        let floor = |x: f32| at(x, 0.1, Vec3::Y);
+        // Behind the wall, its two faces 0.1 apart, before it; in any order.
+        let list = [at(0.5, 0.5, Vec3::X), floor(0.8), at(0.4, 0.5, Vec3::NEG_X), floor(0.2)];
+        let found = layers(&surfels(&list));
+        assert_eq!(found.iter().map(|l| l.number()).collect::<Vec<_>>(), [3, 4, 1, 0]);
+        assert_eq!(found.iter().map(|l| l.is_face()).collect::<Vec<_>>(), [true, false, true, false]);
+        assert_eq!(found.iter().map(|l| l.is_wall()).collect::<Vec<_>>(), [true, false, false, false]);
+        assert!(found.iter().all(|l| l.is_divided() && l.is_thin() && Layer::from_bits(l.bits()).bits() == l.bits()));
+    }
+
+    #[test]
+    fn what_nothing_divides_has_no_layers() {
+        let corner = [
+            (IVec3::ZERO, Vec3::new(0.5, 0.1, 0.5), Vec3::Y),
+            (IVec3::ZERO, Vec3::new(0.1, 0.5, 0.5), Vec3::X),
+            (IVec3::X, Vec3::new(1.5, 0.1, 0.5), Vec3::Y),
+        ];
+        assert!(layers(&surfels(&corner)).is_empty());
+        // Two sides of a slab are thin, but part nothing; and farther apart than half a voxel not even that.
+        let slab = |gap: f32| {
+            let both = [(Vec3::new(0.5, 0.2 + gap, 0.5), Vec3::Y), (Vec3::new(0.5, 0.2, 0.5), Vec3::NEG_Y)];
+            layers(&surfels(&both.map(|(centroid, normal)| (IVec3::ZERO, centroid, normal))))
+        };
+        assert!(slab(0.1).iter().all(|l| l.is_thin() && !l.is_divided()) && slab(0.1).len() == 2);
+        assert!(slab(0.6).is_empty());
+    }
+
+    #[test]
+    fn voxels_are_divided_one_by_one() {
+        let at =
+            |voxel: i32, x: f32, normal: Vec3| (IVec3::new(voxel, 0, 0), Vec3::new(voxel as f32 + x, 0.3, 0.5), normal);
+        let list =
+            [at(0, 0.5, Vec3::Y), at(0, 0.1, Vec3::X), at(1, 0.2, Vec3::Y), at(1, 0.5, Vec3::X), at(1, 0.7, Vec3::Y)];
+        let found = layers(&surfels(&list));
+        assert_eq!(found.iter().map(|l| l.is_divided()).collect::<Vec<_>>(), [false, false, true, true, true]);
+        assert_eq!(found[2..].iter().map(|l| l.number()).collect::<Vec<_>>(), [0, 1, 2]);
+    }
+}
