@@ -5,6 +5,7 @@ mod args;
 mod cache;
 mod export;
 mod fleet;
+mod help;
 mod print;
 mod progress;
 mod render;
