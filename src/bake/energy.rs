@@ -10,7 +10,7 @@ use luxel_export::report::{EnergyStage, Warning};
 use luxel_scene::Scene;
 use luxel_transport::{
     Rgb,
-    energy::Balance,
+    energy::{Balance, Gone},
     geometry::Geometry,
     ledger::{Stage as Sweep, flux},
     surfel::{Solution, Surfels},
@@ -25,7 +25,7 @@ pub const LIMIT: f64 = 0.01;
 /// Fluxes by which later stages are booked [lm].
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Flows {
-    /// What surfels sent in all sweeps, and the part that left the scene.
+    /// What surfels sent, and the part that left the scene or came to no surfel.
     sent: [f64; 3],
     escaped: [f64; 3],
     /// Arrived at the surfels that texels lie on, and the part that they absorb.
@@ -107,11 +107,13 @@ impl Books {
         }
     }
 
-    /// Books that indirect light was gathered anew at all surfels: what they absorb and let escape by it is other. Both
-    /// are what [`parted`] says, `area` is scene units squared over those of the frame.
-    pub fn refresh(&mut self, before: [DVec3; 2], after: [DVec3; 2], area: f64) {
-        self.last.absorbed += (after[0] - before[0]) * area;
-        self.last.escaped += (after[1] - before[1]) * area * DVec3::from(self.flows.open());
+    /// Books that indirect light was gathered anew at all surfels: what they absorb by it, `after` instead of `before`
+    /// [lm], and what of all reflected light is `gone` by rays instead of by sweeps.
+    pub fn refresh(&mut self, before: DVec3, after: DVec3, gone: &Gone) {
+        self.last.absorbed += after - before + gone.absorbed;
+        self.last.escaped += gone.escaped - DVec3::from(self.flows.escaped);
+        self.last.error = (self.last.error * self.last.error + gone.error * gone.error).map(f64::sqrt);
+        (self.flows.sent, self.flows.escaped) = (gone.sent.to_array(), (gone.escaped + gone.absorbed).to_array());
         self.write("refresh".into());
     }
 
@@ -281,10 +283,9 @@ fn times(flux: [f64; 3], factor: [f64; 3]) -> [f64; 3] {
     [0, 1, 2].map(|i| flux[i] * factor[i])
 }
 
-/// The flux of indirect light at surfels that they absorb, and that they reflect [lux × squared frame units].
-pub fn parted(surfels: &Surfels, indirect: &[Rgb]) -> [DVec3; 2] {
-    let reflected = flux(surfels, |i| surfels.list[i].albedo() * indirect[i]);
-    [flux(surfels, |i| indirect[i]) - reflected, reflected]
+/// The flux of indirect light that surfels absorb [lux × squared frame units].
+pub fn absorbed(surfels: &Surfels, indirect: &[Rgb]) -> DVec3 {
+    flux(surfels, |i| indirect[i]) - flux(surfels, |i| surfels.list[i].albedo() * indirect[i])
 }
 
 #[cfg(test)]

@@ -6,7 +6,7 @@ use luxel_transport::{
     Rgb,
     direct::Visibility,
     directions,
-    energy::{shot, sky as sky_flux},
+    energy::{sent, shot, sky as sky_flux},
     gather::{Field, Gather, refresh},
     geometry::Geometry,
     lights::Emitters,
@@ -21,7 +21,7 @@ use luxel_transport::{
 use super::Baking;
 use super::artefact::{self, head, put_slice, put_value};
 use super::direct;
-use super::energy::{self, Books, parted};
+use super::energy::{self, Books, absorbed};
 use super::journal::{Counters, Journal, WRITTEN};
 use super::record::Record;
 use super::tracer::Tracer;
@@ -236,17 +236,19 @@ impl Transport {
             };
             let closed = *closed.get_or_insert_with(|| is_known_closed(rays, &surfels, settings));
             let how = SolveSettings { closed, ..solve_settings(settings) };
-            let sums = parted(&surfels, &solution.indirect);
+            let kept = absorbed(&surfels, &solution.indirect) * area;
             // What was refreshed has its own copy of the direct light.
             let before = std::mem::take(&mut solution).indirect;
             let discrete = refine(&surfels, before, &mut refreshed.indirect, &how, progress)?;
             counters.insert("continuous_rays".into(), count * u64::from(settings.refresh.0));
             counters.insert("discrete_rays".into(), discrete);
-            Ok((refreshed, sums))
+            Ok((refreshed, kept))
         })?;
         if let Some((refreshed, before)) = refreshed {
             if let Some(books) = &mut books {
-                books.refresh(before, parted(&surfels, &refreshed.indirect), area);
+                let radiosity = |i: usize| surfels.list[i].albedo() * refreshed.total(i);
+                let gone = sent(rays, &surfels, &radiosity, journal.progress)?;
+                books.refresh(before, absorbed(&surfels, &refreshed.indirect) * area, &gone);
             }
             solution = refreshed;
             counted.push((Stage::Refresh, journal.last(Stage::Refresh)));

@@ -12,7 +12,10 @@
 //! | emitted | the lights' own power, Φ = πLA of surfaces and ∫I dω of lamps; of suns the flux through the silhouette of the scene, by photons |
 //! | sky | cosine-distributed rays from points of the surfels: Φ = A·π·mean(L T) over those that leave the scene |
 //! | absorbed, in flight | (1 − ρ) and ρ of the flux Σ A·E at surfels; absorbed also the backs and veils that photons meet |
-//! | escaped | of the lights' own light photons that leave the scene; of reflected light the share of sky that a sweep of its own sees |
+//! | escaped | of the lights' own light photons that leave the scene; of what a sweep sends the share of sky that a sweep of its own sees; of all reflected light, once it is refreshed, photons from the surfels |
+//!
+//! Backs of single-sided surfaces absorb, and only rays meet them: a sweep balances without them, a refresh with what
+//! photons from the surfels lose there ([`sent`]).
 //!
 //! The estimates of photons and sky rays are means of [`REPEATS`] independent lattices, whose spread gives their
 //! standard error. Fluxes are irradiance [lux] × squared scene units: lumens where these are metres.
@@ -39,6 +42,9 @@ pub const REPEATS: u32 = 8;
 
 /// Photons of one of them: few, because only their sum counts.
 const PHOTONS: PhotonSettings = PhotonSettings { primary: 1024, directions: 16 };
+
+/// Photons from surfels of one of them.
+const SENT: u32 = 8192;
 
 /// Rays towards the sky of one of them.
 const SKY_RAYS: u32 = 8192;
@@ -216,6 +222,43 @@ impl Lost {
             error: DVec3::ZERO,
         })
     }
+}
+
+/// What becomes of the light that surfels send, but for what arrives at surfels [lm].
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Gone {
+    pub sent: DVec3,
+    pub escaped: DVec3,
+    /// By backs of single-sided surfaces and by veils, less what surfels of veils book although it goes on.
+    pub absorbed: DVec3,
+    /// Standard error of both together.
+    pub error: DVec3,
+}
+
+/// Where all reflected light goes that comes to no surfel: `radiosity` [lm/m²] by surfel.
+pub fn sent(
+    rays: &Rays,
+    surfels: &Surfels,
+    radiosity: &dyn Fn(usize) -> Rgb,
+    progress: &dyn Progress,
+) -> Result<Gone, Cancelled> {
+    let area = 1.0 / (rays.geometry.frame.scale * rays.geometry.frame.scale);
+    let (mut gone, mut passes) = (Gone::default(), Vec::new());
+    for repeat in 0..REPEATS {
+        let seed = combine(SEED ^ 0x5e47, u64::from(repeat));
+        let (flux, twice) = shoot::photons::sent(rays, surfels, radiosity, (SENT, seed), progress)?;
+        // The sum over all surfels is known; photons tell shares of it.
+        gone.escaped += flux.escaped * area;
+        gone.absorbed += (flux.absorbed - twice) * area;
+        passes.push((flux.escaped + flux.absorbed - twice) * area);
+    }
+    let scale = 1.0 / f64::from(REPEATS);
+    Ok(Gone {
+        sent: flux(surfels, radiosity) * area,
+        escaped: gone.escaped * scale,
+        absorbed: gone.absorbed * scale,
+        error: standard_error(&passes),
+    })
 }
 
 /// Flux from the sky to all surfels, and its standard error [lm]; `radiance` [cd/m²] by the direction towards the sky,
@@ -398,5 +441,36 @@ mod tests {
         let end = start.after(&sweep);
         assert!((end.imbalance() - 0.05).abs().max_element() < 1e-12, "{end:?}");
         assert!((end.in_flight - 0.2).abs().max_element() < 1e-12, "{end:?}");
+    }
+
+    #[test]
+    fn backs_absorb_what_a_plate_sends_to_them_and_the_rest_escapes() {
+        // Two squares of side 1 at a distance of 1, the upper one seen from its back: F = 0.199825.
+        let mut b = Builder::new("plates");
+        let grey = b.matte(Vec3::new(0.5, 0.25, 0.75));
+        b.quad("lower", Vec3::new(0.0, 0.0, 1.0), Vec3::X, Vec3::NEG_Z, grey);
+        b.quad("upper", Vec3::new(0.0, 1.0, 1.0), Vec3::X, Vec3::NEG_Z, grey);
+        let scene = b.build();
+        let geometry = Geometry::new(&scene);
+        let rays = Rays::new(&geometry);
+        let how = VoxelSettings { resolution: Resolution::Side(24), ..VoxelSettings::default() };
+        let surfels = Surfels::new(&geometry, &how, &Silent).unwrap();
+        let lower = |i: usize| surfels.list[i].centroid.y < 0.0;
+        let radiosity = |i: usize| if lower(i) { surfels.list[i].albedo() } else { Rgb::ZERO };
+        let gone = sent(&rays, &surfels, &radiosity, &Silent).unwrap();
+        let all = DVec3::new(0.5, 0.25, 0.75);
+        assert!((gone.sent / all - 1.0).abs().max_element() < 1e-5, "{gone:?}");
+        assert!((gone.absorbed + gone.escaped - gone.sent).abs().max_element() < 1e-5, "{gone:?}");
+        let off = (gone.absorbed / all - 0.199825).abs().max_element();
+        println!("backs absorb {:.5} of 0.19983", gone.absorbed.x / all.x);
+        assert!(off < 0.002, "{off}");
+        // What arrives at surfels is not gone, and no light goes nowhere.
+        let closed = room("closed", |_| {});
+        let geometry = Geometry::new(&closed);
+        let rays = Rays::new(&geometry);
+        let surfels = Surfels::new(&geometry, &how, &Silent).unwrap();
+        let gone = sent(&rays, &surfels, &|_| Rgb::ONE, &Silent).unwrap();
+        assert_eq!((gone.escaped, gone.absorbed, gone.error), (DVec3::ZERO, DVec3::ZERO, DVec3::ZERO));
+        assert_eq!(sent(&rays, &surfels, &|_| Rgb::ZERO, &Silent).unwrap(), Gone::default());
     }
 }

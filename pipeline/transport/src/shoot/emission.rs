@@ -37,6 +37,11 @@ pub(crate) struct Photon<'a> {
 }
 
 impl Photon<'_> {
+    /// One that a surface has reflected.
+    pub fn reflected(origin: Vec3, direction: Vec3, flux: DVec3) -> Self {
+        Self { origin, direction, flux, lamp: None }
+    }
+
     /// What a lamp's distance window leaves of the flux where it arrives, before anything has reflected it.
     pub fn window(&self, point: Vec3) -> f32 {
         self.lamp.map_or(1.0, |lamp| lamp.window(point.distance(lamp.position)))

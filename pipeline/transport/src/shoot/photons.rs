@@ -14,7 +14,8 @@ use super::{
 use crate::{
     Rgb,
     lights::Emitters,
-    rays::{Hit, OFFSET, Rays},
+    rays::{Hit, OFFSET, Rays, leave},
+    sampling::{basis, combine, cosine_hemisphere, mix, r2, unit, unit2},
     surfel::Surfels,
 };
 
@@ -86,6 +87,46 @@ pub fn photons(
     // From lux times squared frame units to lumen.
     shot.ledger = shot.ledger.scaled(1.0 / (emitters.scale * emitters.scale));
     Ok(shot)
+}
+
+/// Where the light that surfels send goes, by `count` photons from them in proportion to their flux: what becomes of it
+/// [lux × squared frame units], and of that what is booked at surfels although it goes on (veils).
+pub(crate) fn sent(
+    rays: &Rays,
+    surfels: &Surfels,
+    radiosity: &dyn Fn(usize) -> Rgb,
+    (count, seed): (u32, u64),
+    progress: &dyn Progress,
+) -> Result<(Flux, DVec3), Cancelled> {
+    let flux = |i: usize| f64::from(surfels.list[i].area) * radiosity(i).as_dvec3();
+    let mut all = 0.0f64;
+    let ends: Vec<f64> = (0..surfels.list.len())
+        .map(|i| {
+            all += flux(i).element_sum();
+            all
+        })
+        .collect();
+    let (mut sum, mut received) = (Flux::default(), DVec3::ZERO);
+    if all <= 0.0 {
+        return Ok((sum, received));
+    }
+    let shift = unit2(mix(seed));
+    for first in (0..count).step_by(CHUNK as usize) {
+        progress.check()?;
+        let mut tracer = Tracer { rays, surfels, deposits: Vec::new(), flux: Flux::default(), traced: 0 };
+        for k in first..(first + CHUNK).min(count) {
+            let place = (f64::from(k) + f64::from(unit(combine(seed, u64::from(k))))) / f64::from(count) * all;
+            let i = ends.partition_point(|end| *end <= place).min(ends.len() - 1);
+            let (point, normal) = surfels.list[i].place(rays.geometry);
+            let direction = (basis(normal) * cosine_hemisphere(r2(k, shift))).normalize_or(normal);
+            let own = flux(i);
+            let flux = own / own.element_sum().max(f64::MIN_POSITIVE) * (all / f64::from(count));
+            tracer.trace(&Photon::reflected(leave(point, normal, direction), direction, flux));
+        }
+        sum.add(&tracer.flux);
+        received += tracer.deposits.iter().map(|(_, flux)| *flux).sum::<DVec3>();
+    }
+    Ok((sum, received - sum.deposited))
 }
 
 /// Follows photons and notes where they arrive.
