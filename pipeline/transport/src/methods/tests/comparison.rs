@@ -97,9 +97,8 @@ fn errors_fall_with_the_root_of_the_work() {
     });
 }
 
-/// Beside walls, where near rays see the density of a few photons, maps are right in the mean: a quarter of the light there
-/// comes from densities within a twentieth of an edge, which are off by 5 % at most
-/// (`the_density_of_photons_is_the_irradiance_up_to_edges_and_corners`).
+/// Beside walls, where the noise of near rays does not fall, maps are right in the mean, up to the half per cent of bias for
+/// the density that near rays see.
 #[test]
 fn photon_maps_are_right_beside_walls() {
     with(&room(), 8, |world| {
@@ -111,7 +110,7 @@ fn photon_maps_are_right_beside_walls() {
         let (bias, sigma) = of_repeats(&expected, |seed| mapped(world, 5_000, seed, &receivers));
         let sigma = sigma.hypot(noise(&truth) / (truth.len() as f64).sqrt());
         println!("{} points beside walls: photon map {:+.3} % ± {:.3} %", truth.len(), 100.0 * bias, 100.0 * sigma);
-        assert!(bias.abs() < SIGMAS * sigma + 0.0125, "{bias} ± {sigma}");
+        assert!(bias.abs() < SIGMAS * sigma + 0.005, "{bias} ± {sigma}");
     });
 }
 
