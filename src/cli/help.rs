@@ -21,7 +21,7 @@ luxel, and when all its outputs are as they were written; --force bakes it all t
 has to tell of a verification of so many texels: then --max-error is judged by that, with --check too.
 
 A verified lightmap is compared as it is written, at texels drawn by their area. Checks: no texel belongs to two charts;
-no more than a quarter of the texels lies inside geometry; no texel that a closed wall separates from all light is lit;
+no more than a tenth of the texels lies inside geometry; no texel that a closed wall separates from all light is lit;
 the energy ledger balances within 1 % after every stage; no value is negative or no number.
 
 Events of --json, one object per line, with their fields:

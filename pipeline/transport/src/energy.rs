@@ -324,8 +324,8 @@ mod tests {
         geometry::Geometry,
         surfel::{Resolution, VoxelSettings},
     };
-    use glam::Vec3;
-    use luxel_scene::{LightKind, Scene, Silent, build::Builder};
+    use glam::{Vec3, Vec4};
+    use luxel_scene::{Alpha, LightKind, Material, Scene, Silent, Texture, TextureRef, build::Builder};
 
     /// The surfels of a scene with their exact direct light.
     fn books(scene: &Scene) -> (Balance, f64) {
@@ -372,6 +372,55 @@ mod tests {
         let ((closed, share), (open, open_share)) = (books(&scene), books(&open));
         assert!(closed.escaped.max_element() < 1e-9 && open.escaped.x > 0.02 * open.emitted.x, "{open:?}");
         assert!(share < 0.01 && open_share < 0.01, "{share} {open_share}");
+    }
+
+    /// Φ = 2πI((cos i − cos o)/3 + 1 − cos i): the falloff is the square of a straight line in the cosine.
+    #[test]
+    fn all_of_a_spot_arrives_or_leaves_by_where_it_points() {
+        // On the far wall its disc is eight voxels wide.
+        let (inner, outer) = (0.1f64, 0.2f64);
+        let spot = |direction: DVec3| {
+            let position = DVec3::new(0.4, 0.5, 1.0);
+            let kind = LightKind::Spot { position, direction, inner, outer, range: None, radius: 0.0 };
+            let mut scene = room("spot", |b| b.light("spot", kind, Vec3::new(1.0, 2.0, 3.0)));
+            // The wall at z = 1.2 is open.
+            scene.meshes[0].triangles.truncate(10);
+            books(&scene)
+        };
+        let (narrow, wide) = (libm::cos(inner), libm::cos(outer));
+        let expected = 2.0 * PI * ((narrow - wide) / 3.0 + 1.0 - narrow) * DVec3::new(1.0, 2.0, 3.0);
+        let (away, _) = spot(DVec3::Z);
+        let is = |found: DVec3| (found / expected - 1.0).abs().max_element() < 1e-5;
+        assert!(is(away.emitted) && is(away.escaped), "{away:?}, not {expected}");
+        assert_eq!((away.absorbed, away.in_flight), (DVec3::ZERO, DVec3::ZERO));
+        let (inside, share) = spot(DVec3::NEG_Z);
+        assert!(is(inside.emitted) && inside.escaped == DVec3::ZERO && share < 0.01, "{inside:?} {share}");
+    }
+
+    /// A veil of coverage c keeps c(1 − ρ) and what its tint takes, reflects cρ, and passes T to a floor whose texture is
+    /// half dark and half bright.
+    #[test]
+    fn a_sun_through_a_veil_is_booked_once() {
+        let mut b = Builder::new("veil");
+        let texel = |x: u32| if x < 32 { [51, 51, 51, 255] } else { [204, 204, 204, 255] };
+        let texels = (0..64).map(texel).collect();
+        b.scene_mut().textures.push(Texture { name: "halves".into(), width: 64, height: 1, srgb: false, texels });
+        let halves = b.material(Material {
+            base_color: Vec4::ONE,
+            base_color_texture: Some(TextureRef::new(0)),
+            ..Material::default()
+        });
+        let tint = Vec3::new(0.8, 0.4, 0.2);
+        let veil = b.material(Material { base_color: tint.extend(0.5), alpha: Alpha::Blend, ..Material::default() });
+        b.quad("floor", Vec3::ZERO, Vec3::Z * 2.0, Vec3::X * 2.0, halves);
+        b.quad("veil", Vec3::Y * 0.5, Vec3::Z * 2.0, Vec3::X * 2.0, veil);
+        b.light("sun", LightKind::Sun { direction: DVec3::NEG_Y, angle: 0.0 }, Vec3::splat(100.0));
+        let (books, share) = books(&b.build());
+        let passes = 0.5 * Vec3::ONE.lerp(tint, 0.5);
+        let expected = (0.5 * tint + 0.5 * passes).as_dvec3();
+        assert!((books.in_flight / 400.0 - expected).abs().max_element() < 0.005, "{books:?}, not {expected}");
+        assert!((books.emitted / 400.0 - 1.0).abs().max_element() < 0.01 && share < 0.01, "{books:?} {share}");
+        assert!((books.absorbed / 400.0 - (1.0 - expected)).abs().max_element() < 0.01, "{books:?}");
     }
 
     #[test]

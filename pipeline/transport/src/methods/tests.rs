@@ -1,7 +1,9 @@
 //! Every method against closed forms, against the reference and against each other.
 //!
-//! What a method leaves to chance is judged by its own spread: path tracing and random voxels by the errors that they
-//! state, photon maps by that of independent maps. What voxels do to light has no spread; it is bounded in numbers.
+//! What a method leaves to chance is judged by its own spread: path tracing by the errors that it states, random voxels
+//! and photon maps by the spread of independent repeats. What voxels do to light has no spread; it is bounded in numbers.
+//!
+//! `cargo test -p luxel-transport --lib methods::tests::shipped -- --nocapture` prints the methods side by side.
 
 use std::f32::consts::PI;
 
@@ -25,6 +27,7 @@ use crate::{
 
 mod closed_forms;
 mod comparison;
+mod shipped;
 
 /// A scene with all that methods read.
 struct World<'a> {
@@ -91,19 +94,50 @@ fn moments(values: impl Iterator<Item = f64>) -> (f64, f64) {
     (sum / n, f64::sqrt(squares / n))
 }
 
-/// Mean error of independent maps at the same receivers relative to the mean expected light, and its standard error.
-fn of_maps(world: &World, photons: u32, maps: u64, receivers: &[Receiver], expected: &[f64]) -> (f64, f64) {
+/// Repeats of what draws at random, and the standard errors within which their mean has to be: Student's t with 7 degrees
+/// of freedom exceeds 4 once in 190.
+const REPEATS: u64 = 8;
+const SIGMAS: f64 = 4.0;
+
+/// Mean error over all receivers of independent repeats, relative to the mean expected light, and its standard error.
+fn of_repeats(expected: &[f64], one: impl Fn(u64) -> Vec<Light>) -> (f64, f64) {
     let scale = expected.iter().sum::<f64>();
-    let one = |seed| {
-        let settings = photon_map::Settings { photons, seed, ..photon_map::Settings::default() };
-        let map = PhotonMap::new(world.rays, world.emitters, settings);
-        let found = light(&Reconstruction { straight: world.straight, reflected: &map }, receivers);
-        found.iter().zip(expected).map(|(l, e)| mean(l.total()) - e).sum::<f64>() / scale
-    };
-    let errors: Vec<f64> = (0..maps).map(one).collect();
+    let error = |repeat| one(repeat).iter().zip(expected).map(|(l, e)| mean(l.total()) - e).sum::<f64>() / scale;
+    let errors: Vec<f64> = (0..REPEATS).map(error).collect();
     let (bias, _) = moments(errors.iter().copied());
     let (_, spread) = moments(errors.iter().map(|e| e - bias));
-    (bias, spread / f64::sqrt(maps as f64 - 1.0))
+    (bias, spread / f64::sqrt(REPEATS as f64 - 1.0))
+}
+
+/// The light by a photon map of its own.
+fn mapped(world: &World, photons: u32, seed: u64, receivers: &[Receiver]) -> Vec<Light> {
+    let settings = photon_map::Settings { photons, seed, ..photon_map::Settings::default() };
+    let map = PhotonMap::new(world.rays, world.emitters, settings);
+    light(&Reconstruction { straight: world.straight, reflected: &map }, receivers)
+}
+
+/// The same receivers with other seeds, whose draws are independent.
+fn reseeded(receivers: &[Receiver], repeat: u64) -> Vec<Receiver> {
+    let other = |r: &Receiver| Receiver { seed: sampling::combine(r.seed, 77 + repeat), ..*r };
+    receivers.iter().map(other).collect()
+}
+
+/// The light by random sample voxels with draws of its own.
+fn sampled(world: &World, samples: &VoxelSamples, repeat: u64, receivers: &[Receiver]) -> Vec<Light> {
+    light(&RandomVoxels { straight: world.straight, samples }, &reseeded(receivers, repeat))
+}
+
+/// Bias and RMSE over the mean light, the reference's own variance taken out.
+fn score(found: &[Light], truth: &[Light]) -> (f64, f64) {
+    let scale = truth.iter().map(|t| mean(t.total())).sum::<f64>() / truth.len() as f64;
+    let (bias, rms) = moments(found.iter().zip(truth).map(|(l, t)| (mean(l.total()) - mean(t.total())) / scale));
+    (bias, (rms * rms - noise(truth).powi(2)).max(0.0).sqrt())
+}
+
+/// Root mean square of stated errors over the mean light.
+fn noise(lights: &[Light]) -> f64 {
+    let scale = lights.iter().map(|t| mean(t.total())).sum::<f64>() / lights.len() as f64;
+    moments(lights.iter().map(|l| f64::from(l.error.unwrap()) / scale)).1
 }
 
 #[test]

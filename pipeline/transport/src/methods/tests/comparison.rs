@@ -1,4 +1,4 @@
-//! Scenes without a closed form: every method against the reference.
+//! A scene without a closed form: what methods leave to chance, and how it falls.
 
 use super::*;
 use crate::rays::OFFSET;
@@ -27,39 +27,6 @@ fn known(world: &World, count: u32, paths: u32) -> (Vec<Receiver>, Vec<Light>) {
     // What is under the block or behind the lamp is dark, and no method has anything to say there.
     let lit = all.into_iter().zip(lights).filter(|(_, l)| mean(l.indirect) > 0.0);
     lit.unzip()
-}
-
-/// Bias and RMSE over the mean light, the reference's own variance taken out.
-fn score(found: &[Light], truth: &[Light]) -> (f64, f64) {
-    let scale = truth.iter().map(|t| mean(t.total())).sum::<f64>() / truth.len() as f64;
-    let (bias, rms) = moments(found.iter().zip(truth).map(|(l, t)| (mean(l.total()) - mean(t.total())) / scale));
-    let (_, noise) = moments(truth.iter().map(|t| f64::from(t.error.unwrap()) / scale));
-    (bias, (rms * rms - noise * noise).max(0.0).sqrt())
-}
-
-#[test]
-fn every_method_finds_the_light_of_the_reference() {
-    with(&room(), 48, |world| {
-        let (receivers, truth) = known(world, 100, 1 << 11);
-        let straight = world.straight;
-        let map =
-            PhotonMap::new(world.rays, world.emitters, photon_map::Settings { photons: 20_000, ..Default::default() });
-        let samples = VoxelSamples::new(world.field, 16);
-        let cuts = Lightcuts::new(world.field, lightcuts::Settings::default());
-        // Bias and RMSE: 48 voxels a side leave about a per cent of bias, the cache shown directly whatever shadows and
-        // gradients do within a voxel.
-        let methods: [(&str, &dyn Method, f64, f64); 4] = [
-            ("photon map", &Reconstruction { straight, reflected: &map }, 0.01, 0.03),
-            ("random voxels", &RandomVoxels { straight, samples: &samples }, 0.015, 0.03),
-            ("lightcuts", &Reconstruction { straight, reflected: &cuts }, 0.015, 0.03),
-            ("cached", &Cached::new(world.field), 0.03, 0.15),
-        ];
-        for (name, method, most_bias, most_rms) in methods {
-            let (bias, rms) = score(&light(method, &receivers), &truth);
-            println!("room: {name} {:+.2} %, rmse {:.2} %", 100.0 * bias, 100.0 * rms);
-            assert!(bias.abs() < most_bias && rms < most_rms, "{name}: {bias} {rms}");
-        }
-    });
 }
 
 /// Path tracing with few walks against itself with many: errors beyond three standard deviations are as rare as Student
@@ -109,15 +76,8 @@ fn errors_fall_with_the_root_of_the_work() {
         }
         assert_eq!(again, tallies);
         // Nearer than 3 h to another surface the noise stays as the region shrinks: only points away from all others.
-        let near = world.geometry.frame.length(0.25);
-        let is_open = |r: &Receiver| {
-            (0..64).all(|i| {
-                let local = sampling::cosine_hemisphere(sampling::r2(i, Vec2::splat(0.4)));
-                let direction = (sampling::basis(r.normal) * local).normalize();
-                world.rays.closest(r.position + r.normal * OFFSET, direction, near).is_none()
-            })
-        };
-        let open: Vec<Receiver> = super::receivers(world.geometry, 600).into_iter().filter(is_open).take(60).collect();
+        let all = super::receivers(world.geometry, 600);
+        let open: Vec<Receiver> = all.into_iter().filter(|r| is_open(world, r)).take(60).collect();
         assert!(open.len() >= 30, "{}", open.len());
         // Every photon for itself: a cut's own error does not fall with their number.
         let map = |photons, seed| {
@@ -135,4 +95,31 @@ fn errors_fall_with_the_root_of_the_work() {
         println!("photon map: 16 times the photons leave 1/{ratio:.2} of the noise");
         assert!((2.8..5.7).contains(&ratio), "{ratio}");
     });
+}
+
+/// Beside walls, where the noise of near rays does not fall, maps are right in the mean, up to the half per cent of bias for
+/// the density that near rays see.
+#[test]
+fn photon_maps_are_right_beside_walls() {
+    with(&room(), 8, |world| {
+        let (all, lights) = known(world, 150, 1 << 11);
+        let beside = all.into_iter().zip(lights).filter(|(r, _)| !is_open(world, r));
+        let (receivers, truth): (Vec<Receiver>, Vec<Light>) = beside.unzip();
+        assert!(receivers.len() > 60, "{}", receivers.len());
+        let expected: Vec<f64> = truth.iter().map(|t| mean(t.total())).collect();
+        let (bias, sigma) = of_repeats(&expected, |seed| mapped(world, 5_000, seed, &receivers));
+        let sigma = sigma.hypot(noise(&truth) / (truth.len() as f64).sqrt());
+        println!("{} points beside walls: photon map {:+.3} % ± {:.3} %", truth.len(), 100.0 * bias, 100.0 * sigma);
+        assert!(bias.abs() < SIGMAS * sigma + 0.005, "{bias} ± {sigma}");
+    });
+}
+
+/// Away from all other surfaces: nothing is nearer than a quarter of the room.
+fn is_open(world: &World, r: &Receiver) -> bool {
+    let near = world.geometry.frame.length(0.25);
+    (0..64).all(|i| {
+        let local = sampling::cosine_hemisphere(sampling::r2(i, Vec2::splat(0.4)));
+        let direction = (sampling::basis(r.normal) * local).normalize();
+        world.rays.closest(r.position + r.normal * OFFSET, direction, near).is_none()
+    })
 }
