@@ -3,7 +3,7 @@
 
 mod tool;
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use serde_json::Value;
@@ -76,10 +76,64 @@ fn a_report_has_a_table_plots_and_advice_and_is_measured_once() {
         assert!(text.contains(part), "{part} is not in {text}");
     }
 
-    // Times too are those that were measured.
-    let before = std::fs::read(place.join("cornell.report.csv")).unwrap();
-    quick(&args, &folder).ended(0);
-    assert!(before == std::fs::read(place.join("cornell.report.csv")).unwrap());
+    for row in &table {
+        assert!(number(row, "continuous_rays") > 0.0, "{row:?}");
+    }
+
+    // Nothing is measured twice: the same files, times included, and no stage finds light.
+    let written = || -> BTreeMap<String, Vec<u8>> {
+        files(&place).into_iter().filter(|(name, _)| !name.starts_with(".luxel")).collect()
+    };
+    let (before, started) = (written(), stages(&first));
+    assert!(LIGHT.iter().all(|stage| started.contains(*stage)), "{started:?}");
+    let again = quick(&args, &folder).ended(0);
+    assert!(before == written());
+    let started = stages(&again);
+    assert!(LIGHT.iter().all(|stage| !started.contains(*stage)), "{started:?}");
+
+    // What an interrupted report has not come to, it alone makes.
+    for (kind, makes) in [("map", &LIGHT[1..]), ("figures", &LIGHT[1..]), ("reference", &LIGHT[..1])] {
+        let folder_of_kind = place.join(".luxel").join(kind);
+        let kept = files(&folder_of_kind);
+        std::fs::remove_dir_all(&folder_of_kind).unwrap();
+        let started = stages(&quick(&args, &folder).ended(0));
+        assert!(LIGHT.iter().all(|stage| started.contains(*stage) == makes.contains(stage)), "{kind}: {started:?}");
+        // Of the bakes that are measured as points too, the figures are not missed.
+        let made = files(&folder_of_kind);
+        assert!(!made.is_empty() && made.keys().all(|name| kept.contains_key(name)), "{kind}");
+    }
+}
+
+/// Stages that find light at texels: the reference, and those of a bake.
+const LIGHT: [&str; 5] = ["reference", "surfels", "propagate", "direct", "gather"];
+
+/// The stages that a run told of.
+fn stages(run: &Run) -> BTreeSet<String> {
+    events(run, "started").iter().filter_map(|event| event["stage"].as_str().map(String::from)).collect()
+}
+
+/// A sweep that cannot fit is refused before any of it is measured.
+#[cfg(target_os = "linux")]
+#[test]
+fn a_report_that_does_not_fit_into_memory_is_refused() {
+    let folder = folder(&["cornell.glb"]);
+    let run = |sweep: &str| {
+        let command = format!(
+            "ulimit -v 400000; exec \"$0\" report cornell.glb {} --no-together --no-table --no-maps --no-methods \
+             --sweep {sweep} --quiet --threads 1",
+            [BAKE.join(" "), REPORT.join(" ")].concat().replace("2000--texels", "2000 --texels")
+        );
+        let mut shell = std::process::Command::new("sh");
+        let shell = shell.args(["-c", &command, env!("CARGO_BIN_EXE_luxel")]).current_dir(folder.path());
+        let output = shell.output().unwrap();
+        (output.status.code(), String::from_utf8(output.stderr).unwrap())
+    };
+    let (code, said) = run("none");
+    assert_eq!(code, Some(0), "{said}");
+    let before = files(folder.path());
+    let (code, said) = run("voxels");
+    assert!(code == Some(1) && said.contains("the surfels") && said.contains("--voxels"), "{said}");
+    assert!(files(folder.path()) == before);
 }
 
 #[test]
