@@ -33,3 +33,28 @@ pub fn estimate(scene: &Scene, settings: &Settings, ways: &[Way], pixels: u64, h
     let most = ways.iter().chain(&chooses).map(each).fold(Memory::default(), Memory::max);
     Memory { picture, ..most }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_picture_takes_what_its_method_reads() {
+        let (scene, settings) = (luxel_assets::cornell(), Settings::default());
+        let of = |ways: &[Way], has_camera| estimate(&scene, &settings, ways, 1000, has_camera);
+        let paths = Way::Found(Technique::PathTracing { paths: 4 });
+        let map = Way::Found(Technique::PhotonMap { photons: 10 });
+        let voxels = Way::Found(Technique::Voxels);
+        let bake = needs::bake(&scene, &settings);
+        assert!(of(&[paths], true).rays == bake.rays && bake.rays > 0);
+        assert_eq!((of(&[paths], true).surfels, of(&[paths], false).surfels), (0, bake.surfels));
+        assert_eq!((of(&[voxels], true).surfels, of(&[voxels], true).photons), (bake.surfels, 0));
+        assert_eq!(of(&[map], true).photons, 10 * of(&[Way::Found(Technique::PhotonMap { photons: 1 })], true).photons);
+        let lightmap = of(&[Way::Lightmap], true);
+        assert_eq!((lightmap.texels, lightmap.rays), (bake.texels, 2 * bake.rays));
+        // Side by side they take what the largest takes, and all of their pictures.
+        let all = of(&[paths, map, voxels], true);
+        assert_eq!((all.surfels, all.picture), (bake.surfels, 1000 * (3 * HELD + WRITTEN)));
+        assert_eq!(of(&[voxels], true).picture, 1000 * (HELD + WRITTEN));
+    }
+}

@@ -92,7 +92,10 @@ pub fn verify(
     let holds = Holds { double_sided: settings.double_sided, only: settings.only };
     let population = Population::new(baked.atlas, |texel| baked.is_buried(texel));
     progress.begin(WORK, 0);
-    let trial = Trial { rays, baked, holds, population, reference: Reference::new(rays, Options::default()), progress };
+    // How many texels and paths it takes is found out on the way.
+    let uncounted = &Uncounted(progress);
+    let reference = Reference::new(rays, Options::default());
+    let trial = Trial { rays, baked, holds, population, reference, progress: uncounted };
     let (mut verification, leaks) = match trial.nothing() {
         Some(why) => (Verification { nothing: Some(why), ..Verification::default() }, None),
         None => {
