@@ -109,7 +109,7 @@ fn a_report_has_a_table_plots_and_advice_and_is_measured_once() {
 }
 
 /// Stages that find light at texels: the reference, and those of a bake.
-const LIGHT: [&str; 5] = ["reference", "surfels", "propagate", "direct", "gather"];
+const LIGHT: [&str; 5] = ["reference", "voxelize", "propagate", "direct", "gather"];
 
 /// The stages that a run told of.
 fn stages(run: &Run) -> BTreeSet<String> {
