@@ -17,9 +17,9 @@ fn errors(scene: &Scene, rungs: &[u32], how: Exactness, with_photons: bool) -> V
     let base = Settings { size: Texels(96), light_groups: LightGroups::One, ..Settings::preset(Preset::Medium) };
     lab::on_threads(&base, || {
         Lab::with(scene, &base, None, &Silent, |lab| {
-            let (atlas, _) = lab::lay_out(scene, &base, &Silent)?;
+            let (atlas, _) = lab::lay_out(scene, &base, None, &Silent)?;
             let texels = truth::texels(lab, &atlas, how.texels);
-            let truth = truth::truth(lab, &atlas, texels, (&how, "test"), None, &Silent)?;
+            let truth = truth::truth(lab, texels, (&how, "test"), None, &Silent)?;
             let measure = Measure { lab, atlas: &atlas, truth: &truth, store: None, fresh: true, machine: "" };
             let mut scores = Vec::new();
             for &rung in rungs {

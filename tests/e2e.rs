@@ -301,6 +301,9 @@ fn a_bake_that_does_not_fit_into_memory_is_refused() {
         "{said}"
     );
     assert_eq!(names(folder.path()), ["cornell.glb"]);
+    let (code, said) = limited("render --method lightmap");
+    assert!(code == Some(1) && said.contains("the texels") && said.contains("--size"), "{said}");
+    assert_eq!(names(folder.path()), ["cornell.glb"]);
     let (code, said) = limited("plan");
     assert!(code == Some(0) && said.contains("note: ") && said.contains("--size"), "{said}");
 }

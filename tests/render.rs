@@ -101,6 +101,9 @@ fn methods_side_by_side_agree_within_the_noise_of_the_reference() {
     let compared = event(&run, "compared");
     let methods = compared["methods"].as_array().unwrap();
     let of = |name: &str| methods.iter().find(|m| m["method"] == name).unwrap();
+    for method in methods {
+        assert!(method["rays"].as_u64().unwrap() > 0, "{method}");
+    }
     let number = |name: &str, field: &str| of(name)[field].as_f64().unwrap();
     assert_eq!((compared["against"].as_str(), of("paths")["draws"].as_u64()), (Some("paths"), Some(64)));
     assert_eq!((number("paths", "rmse"), number("paths", "bias")), (0.0, 0.0));
@@ -207,6 +210,26 @@ fn what_cannot_be_pictured_is_told_before_anything_is_done() {
     let run = render(&["cornell.glb", "--camera", "roof"], folder.path()).ended(1);
     assert!(run.stderr.contains("there is no camera \"roof\""), "{}", run.stderr);
     assert_eq!(files(folder.path()).into_keys().collect::<Vec<_>>(), ["cornell.glb", "two_rooms.glb"]);
+}
+
+/// What a method needs is refused before any work where it cannot fit; what another one needs is no reason.
+#[test]
+fn a_picture_that_does_not_fit_into_memory_is_refused() {
+    let folder = folder(&["cornell.glb"]);
+    let take = |args: &[&str]| luxel(&[&["render", "cornell.glb", "--width", "8"], args].concat(), folder.path());
+    for (args, part, remedy) in [
+        (vec!["--voxels", "edge:1e-9"], "the surfels", "--voxels"),
+        (vec!["--voxels", "edge:1e-9", "--compare", "paths,lookup"], "the surfels", "--voxels"),
+        (vec!["--method", "photons", "--map-photons", "4000000000"], "the photons", "--map-photons"),
+    ] {
+        let run = take(&[&args[..], &["--json"]].concat()).ended(1);
+        let said = event(&run, "failed")["error"].to_string();
+        assert!(said.contains("MiB") && said.contains(part) && said.contains(remedy), "{args:?}: {said}");
+        let started: Vec<Value> = events(&run).into_iter().filter(|e| e["event"] == "started").collect();
+        assert!(started.iter().all(|e| e["stage"] == "import"), "{started:?}");
+    }
+    assert_eq!(files(folder.path()).into_keys().collect::<Vec<_>>(), ["cornell.glb"]);
+    take(&["--voxels", "edge:1e-9", "--method", "paths", "--paths", "1"]).ended(0);
 }
 
 #[test]

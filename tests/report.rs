@@ -3,7 +3,7 @@
 
 mod tool;
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use serde_json::Value;
@@ -74,10 +74,59 @@ fn a_report_has_a_table_plots_and_advice_and_is_measured_once() {
     }
     has_table1(findings["table1"].as_array().unwrap(), &text);
 
-    // Times too are those that were measured.
-    let before = std::fs::read(place.join("cornell.report.csv")).unwrap();
-    quick(&args, &folder).ended(0);
-    assert!(before == std::fs::read(place.join("cornell.report.csv")).unwrap());
+    // Every path is a ray at least, and every photon.
+    for row in &paths {
+        assert!(number(row, "continuous_rays") >= number(row, "texels") * number(row, "x"), "{row:?}");
+    }
+    for row in of("photon map") {
+        assert!(number(row, "continuous_rays") >= number(row, "x"), "{row:?}");
+    }
+
+    // Nothing is measured twice: the same files, times included, and no stage finds light.
+    let written = || -> BTreeMap<String, Vec<u8>> {
+        files(&place).into_iter().filter(|(name, _)| !name.starts_with(".luxel")).collect()
+    };
+    let (before, started) = (written(), stages(&first));
+    assert!(LIGHT.iter().all(|stage| started.contains(*stage)), "{started:?}");
+    let again = quick(&args, &folder).ended(0);
+    assert!(before == written());
+    let started = stages(&again);
+    assert!(LIGHT.iter().all(|stage| !started.contains(*stage)), "{started:?}");
+
+    // What an interrupted report has not come to, it alone makes.
+    for (kind, makes) in [("map", &LIGHT[1..]), ("figures", &LIGHT[1..]), ("reference", &LIGHT[..1])] {
+        let folder_of_kind = place.join(".luxel").join(kind);
+        let kept = files(&folder_of_kind);
+        std::fs::remove_dir_all(&folder_of_kind).unwrap();
+        let started = stages(&quick(&args, &folder).ended(0));
+        assert!(LIGHT.iter().all(|stage| started.contains(*stage) == makes.contains(stage)), "{kind}: {started:?}");
+        // Of the bakes that are measured as points too, the figures are not missed.
+        let made = files(&folder_of_kind);
+        assert!(!made.is_empty() && made.keys().all(|name| kept.contains_key(name)), "{kind}");
+    }
+}
+
+/// Stages that find light at texels: the reference, and those of a bake.
+const LIGHT: [&str; 5] = ["reference", "voxelize", "propagate", "direct", "gather"];
+
+/// The stages that a run told of.
+fn stages(run: &Run) -> BTreeSet<String> {
+    events(run, "started").iter().filter_map(|event| event["stage"].as_str().map(String::from)).collect()
+}
+
+/// What cannot fit is refused before any of it is measured.
+#[cfg(target_os = "linux")]
+#[test]
+fn a_report_that_does_not_fit_into_memory_is_refused() {
+    let folder = folder(&["cornell.glb"]);
+    let command = "ulimit -v 600000; exec \"$0\" report cornell.glb --preset draft --size 16384 --voxels 1000 --json";
+    let mut shell = std::process::Command::new("sh");
+    let output = shell.args(["-c", command, env!("CARGO_BIN_EXE_luxel")]).current_dir(folder.path()).output().unwrap();
+    let said = String::from_utf8(output.stdout).unwrap();
+    assert!(output.status.code() == Some(1) && said.contains("the texels") && said.contains("--size"), "{said}");
+    let started = said.lines().filter(|line| line.contains("\"started\""));
+    assert!(started.into_iter().all(|line| line.contains("\"import\"")), "{said}");
+    assert_eq!(files(folder.path()).into_keys().collect::<Vec<_>>(), ["cornell.glb"]);
 }
 
 /// Table 1: the two columns of the paper as they are printed there, and two of luxel's own whose ratios follow from their

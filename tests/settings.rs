@@ -161,8 +161,11 @@ fn photons_and_the_final_gather_find_the_same_light() {
     assert_near(mean(&gathered, "indirect"), mean(&cuts, "indirect"), 0.05);
     assert!(photons.lightmaps != cuts.lightmaps && gathered.lightmaps != cuts.lightmaps);
     let count = |o: &Outputs, counter: &str| o.report["counters"][counter].as_u64().unwrap();
-    assert!(count(&photons, "direct_photons") > 100_000);
-    assert!(photons.report["table1"]["primary_photons"].as_u64().unwrap() > 1000);
+    assert!(count(&photons, "arrived_photons") > 100_000);
+    // The paper's names: so many points of lights, and so many photons from each of them.
+    let table = |name: &str| photons.report["table1"][name].as_u64().unwrap();
+    assert_eq!((table("direct_photons"), table("primary_photons")), (256, count(&photons, "primary_photons")));
+    assert!(table("primary_photons") > 1000 && cuts.report["table1"]["direct_photons"] == 0);
 }
 
 /// A cut's bound is the sum over all its clusters: a certainty, of the light's own order of magnitude, that shrinks with

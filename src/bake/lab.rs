@@ -6,7 +6,6 @@
 //! nothing written.
 
 use std::cell::OnceCell;
-use std::collections::BTreeMap;
 use std::path::Path;
 use std::rc::Rc;
 use std::sync::Arc;
@@ -14,7 +13,7 @@ use std::time::Instant;
 
 use cpu_time::ProcessTime;
 use luxel_atlas::{Atlas, AtlasReport, InProcess};
-use luxel_export::report::Stage as Entry;
+use luxel_export::report::{Stage as Entry, Table1};
 use luxel_scene::{Progress, Scene};
 use luxel_transport::{
     Rgb,
@@ -36,6 +35,7 @@ use super::keys::Keys;
 use super::light::Parts;
 use super::receivers::Side;
 use super::record::Record;
+use super::table::table1;
 use super::threads::with_threads;
 use super::tracer::Tracer;
 use super::transport::{Facts, Transport};
@@ -100,10 +100,18 @@ pub struct Cache {
     /// At the true strengths of the lights.
     pub solution: Solution,
     pub record: Option<Record>,
-    /// The stages that made it.
-    pub stages: Vec<Entry>,
+    /// Continuous rays that were traced for it.
+    pub rays: u64,
     /// What they took.
     pub cost: Cost,
+}
+
+/// A method that is ready to be asked for light.
+#[derive(Clone, Copy)]
+pub struct Ready<'m> {
+    pub method: &'m dyn Method,
+    /// Continuous rays that made it ready: photons, and those of the cached solution.
+    pub rays: u64,
 }
 
 /// What some work took. Nothing is decided by it.
@@ -181,7 +189,7 @@ impl<'a> Lab<'a> {
         if let Some(cache) = self.cache.get() {
             return Ok(cache);
         }
-        let (cache, cost) = Cost::of(|| solved(self.scene(), self.settings, self.store, progress));
+        let (cache, cost) = Cost::of(|| solved(self.rays, self.settings, self.store, progress));
         let cache = Cache { cost, ..cache? };
         Ok(self.cache.get_or_init(|| cache))
     }
@@ -209,17 +217,18 @@ impl<'a> Lab<'a> {
         technique: Technique,
         visibility: Visibility,
         progress: &dyn Progress,
-        work: impl FnOnce(&dyn Method) -> Result<T, Error>,
+        work: impl FnOnce(Ready) -> Result<T, Error>,
     ) -> Result<T, Error> {
         match technique {
             Technique::PathTracing { paths } => {
                 let reference = Reference::new(self.rays, Options::default());
-                work(&PathTracing::new(&reference, paths))
+                work(Ready { method: &PathTracing::new(&reference, paths), rays: 0 })
             }
             Technique::PhotonMap { photons } => {
                 let reflected = PhotonMap::build(self.rays, &self.emitters, self.photon_map(photons), progress)?;
                 self.straight(visibility, progress, |straight| {
-                    work(&Reconstruction { straight, reflected: &reflected })
+                    let method = &Reconstruction { straight, reflected: &reflected };
+                    work(Ready { method, rays: reflected.facts().rays })
                 })
             }
             Technique::SampleVoxels { passes } => self.of_cache(Reading::Samples(passes), visibility, progress, work),
@@ -244,10 +253,11 @@ impl<'a> Lab<'a> {
         reading: Reading,
         visibility: Visibility,
         progress: &dyn Progress,
-        work: impl FnOnce(&dyn Method) -> Result<T, Error>,
+        work: impl FnOnce(Ready) -> Result<T, Error>,
     ) -> Result<T, Error> {
-        let Cache { surfels, solution, .. } = self.cache(progress)?;
+        let Cache { surfels, solution, rays, .. } = self.cache(progress)?;
         let field = Field::build(self.rays, surfels, solution, progress)?;
+        let work = |method: &dyn Method| work(Ready { method, rays: *rays });
         self.straight(visibility, progress, |straight| match reading {
             Reading::Voxels => work(&Cached::new(&field)),
             Reading::Samples(passes) => {
@@ -312,11 +322,13 @@ impl Unit {
     }
 }
 
-/// The cached solution of a scene: the sum over its light groups.
-fn solved(scene: &Scene, settings: &Settings, store: Option<&Store>, progress: &dyn Progress) -> Result<Cache, Error> {
-    let unit = Unit::of(scene, settings);
+/// The cached solution of the scene that `rays` are of: the sum over its light groups.
+fn solved(rays: &Rays, settings: &Settings, store: Option<&Store>, progress: &dyn Progress) -> Result<Cache, Error> {
+    let unit = Unit::of(rays.geometry.scene, settings);
     let geometry = Geometry::new(&unit.scene);
-    let (baking, tracer) = (unit.baking(settings, store), Tracer::new(&geometry, None));
+    // Lights at their units have no other shape.
+    let tracer = Tracer::with(&geometry, Rays::with(&geometry, rays.tree().clone()));
+    let baking = unit.baking(settings, store);
     let (mut transport, mut journal) = (Transport::default(), Journal::new(progress));
     let mut sum: Option<(Rc<Surfels>, Solution)> = None;
     for (number, group) in unit.lighting.groups.iter().enumerate() {
@@ -340,13 +352,14 @@ fn solved(scene: &Scene, settings: &Settings, store: Option<&Store>, progress: &
         }
     };
     let record = transport.facts.record;
-    Ok(Cache { surfels, solution, record, stages: journal.close(), cost: Cost::default() })
+    Ok(Cache { surfels, solution, record, rays: traced(&journal.close()), cost: Cost::default() })
 }
 
 /// A bake's light at texels, with its parts apart.
 pub struct Trial {
     pub parts: Parts,
     pub facts: Facts,
+    pub table1: Table1,
     /// The stages that ran, with their times.
     pub stages: Vec<Entry>,
     pub cost: Cost,
@@ -358,28 +371,25 @@ impl Trial {
         let wanted = |entry: &&Entry| stages.iter().any(|stage| stage.name() == entry.name);
         self.stages.iter().filter(wanted).map(|entry| entry.seconds).sum()
     }
-
-    /// What all stages counted, by the names of the counters.
-    pub fn counted(&self) -> BTreeMap<&str, u64> {
-        let mut sums = BTreeMap::new();
-        for (name, count) in self.stages.iter().flat_map(|entry| &entry.counters) {
-            *sums.entry(name.as_str()).or_default() += count;
-        }
-        sums
-    }
 }
 
-/// The place of a scene's texels.
+/// Continuous rays of all stages, of stored ones too.
+pub(super) fn traced(stages: &[Entry]) -> u64 {
+    stages.iter().filter_map(|stage| stage.counters.get("continuous_rays")).sum()
+}
+
+/// The place of a scene's texels. With a store, what bakes left there is used again.
 ///
 /// # Errors
 /// As a bake.
 pub fn lay_out(
     scene: &Scene,
     settings: &Settings,
+    store: Option<&Store>,
     progress: &dyn Progress,
 ) -> Result<(Arc<Atlas>, AtlasReport), Error> {
     let unit = Unit::of(scene, settings);
-    atlas::run(&unit.baking(settings, None), &unit.scene, &InProcess, &mut Journal::new(progress))
+    atlas::run(&unit.baking(settings, store), &unit.scene, &InProcess, &mut Journal::new(progress))
 }
 
 /// Bakes the light of a scene at the texels of an atlas that [`lay_out`] made of it, in memory.
@@ -398,5 +408,6 @@ pub fn attempt(
     let tracer = Tracer::new(&geometry, None);
     let (found, cost) = Cost::of(|| parts(&unit.baking(settings, None), &tracer, atlas, &mut journal));
     let (parts, facts) = found?;
-    Ok(Trial { parts, facts, stages: journal.close(), cost })
+    let table1 = table1(scene.triangle_count(), &facts, &journal, cost.seconds);
+    Ok(Trial { parts, facts, table1, stages: journal.close(), cost })
 }

@@ -1,4 +1,4 @@
-//! Whether a bake fits into memory, asked before any work.
+//! Whether a bake or a picture fits into memory, asked before any work.
 //!
 //! What a process can have is bounded by the machine (memory and swap), by its control group, and by its own limit of
 //! address space; the least of them counts, less what the process holds already. A bake whose estimate lies above that
@@ -75,7 +75,7 @@ fn judge(estimate: &Memory, room: Room) -> Result<Option<Warning>, Error> {
         return Ok(None);
     }
     let message = format!(
-        "the bake may take {needs} MiB of memory and {} MiB are free; the largest part are {part} ({part_needs} MiB): \
+        "this may take {needs} MiB of memory and {} MiB are free; the largest part are {part} ({part_needs} MiB): \
          {remedy} if it fails",
         mib(room.now)
     );
@@ -95,6 +95,8 @@ fn largest(estimate: &Memory) -> (&'static str, u64, &'static str) {
         ("the texels", estimate.texels, ATLAS),
         ("the images", estimate.images, ATLAS),
         ("the scene's own buffers and images", estimate.files, "bake the scene in several parts"),
+        ("the photons", estimate.photons, "lower --map-photons"),
+        ("the pictures", estimate.picture, "lower --width or --height"),
     ];
     // The first of equal ones.
     parts.into_iter().rev().max_by_key(|(_, bytes, _)| *bytes).unwrap_or_default()

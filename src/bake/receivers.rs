@@ -35,6 +35,20 @@ const BLOCK: usize = 1 << 14;
 /// Mixed into the seed of receivers on backs.
 const BACK: u64 = 0xbac5;
 
+/// A texel as a receiver at its own point, on the front of its surface.
+pub fn own(geometry: &Geometry, texel: &Texel, chart: &Chart) -> Receiver {
+    let triangle = geometry.triangle(chart.instance, texel.triangle);
+    let footprint = geometry.frame.length(f64::from(texel.footprint()));
+    let [u, v] = texel.barycentric();
+    Receiver::on_triangle(geometry, triangle, u, v, footprint, chart.texel_seed(texel.x, texel.y))
+}
+
+/// The receiver on the back of the surface that this one is on the front of.
+pub fn turned(front: &Receiver) -> Receiver {
+    let (normal, shading_normal) = (-front.normal, -front.shading_normal);
+    Receiver { normal, shading_normal, seed: combine(front.seed, BACK), ..*front }
+}
+
 /// Some texels, seen from one side of their surfaces.
 pub struct Side<'a> {
     geometry: &'a Geometry<'a>,
@@ -107,17 +121,8 @@ impl<'a> Side<'a> {
 
     fn original(&self, at: usize) -> Receiver {
         let t = self.texel(at);
-        let chart = &self.charts[t.chart as usize];
-        let triangle = self.geometry.triangle(chart.instance, t.triangle);
-        let footprint = self.geometry.frame.length(f64::from(t.footprint()));
-        let seed = chart.texel_seed(t.x, t.y);
-        let [u, v] = t.barycentric();
-        let front = Receiver::on_triangle(self.geometry, triangle, u, v, footprint, seed);
-        if !self.back {
-            return front;
-        }
-        let (normal, shading_normal) = (-front.normal, -front.shading_normal);
-        Receiver { normal, shading_normal, seed: combine(seed, BACK), ..front }
+        let front = own(self.geometry, t, &self.charts[t.chart as usize]);
+        if self.back { turned(&front) } else { front }
     }
 
     /// The receiver of a texel of a side that nobody has cleared; none where it is buried and has nowhere to go.

@@ -12,7 +12,7 @@ use super::groups::Group;
 use super::input::Inputs;
 use super::journal::Journal;
 use super::light::Sums;
-use super::record::Record;
+use super::table::table1;
 use super::{Baking, Lit};
 use crate::plan::{Plan, Stage};
 use crate::settings::{Resolved, Settings};
@@ -84,7 +84,7 @@ pub fn fill(
         ("charts", lit.atlas.charts.len() as u64),
         ("surfels", lit.transport.surfels),
         ("primary_photons", counted("primary_photons")),
-        ("direct_photons", counted("direct_photons")),
+        ("arrived_photons", counted("arrived_photons")),
         ("continuous_rays", counted("continuous_rays")),
         ("discrete_rays", counted("discrete_rays")),
     ] {
@@ -108,7 +108,8 @@ pub fn fill(
     }
     if let Some(record) = &lit.transport.record {
         let state = journal.state(Stage::Propagate).unwrap_or_default();
-        report.table1 = Some(Table1 { state, ..table1(plan, lit, &journal, record, seconds) });
+        let figures = table1(plan.facts.triangles, &lit.transport, &journal, seconds);
+        report.table1 = Some(Table1 { state, ..figures });
         report.energy = Some(EnergyLedger { state, ..record.energy.clone() });
         report.warnings.extend(energy::warning(&record.energy.stages));
     }
@@ -220,28 +221,6 @@ fn atlas_warnings(report: &mut Report, scene: &Scene, lit: &Lit) {
         );
         warn(report, "density-lowered", message);
     }
-}
-
-fn table1(plan: &Plan, lit: &Lit, journal: &Journal, record: &Record, seconds: f64) -> Table1 {
-    let sum = |stages: &[Stage]| stages.iter().map(|s| journal.seconds(*s)).sum::<f64>();
-    let tracing = [Stage::Shoot, Stage::Refresh, Stage::Direct, Stage::Sky, Stage::Gather];
-    let traced = tracing.iter().map(|s| journal.count_run(*s, "continuous_rays")).sum();
-    Table1 {
-        triangles: plan.facts.triangles as u64,
-        voxels: lit.transport.surfels,
-        light_path_length: record.path_length,
-        voxel_directions: record.directions,
-        primary_photons: journal.count(Stage::Shoot, "primary_photons"),
-        direct_photons: journal.count(Stage::Shoot, "direct_photons"),
-        continuous_rays: tracing.iter().map(|s| journal.count(*s, "continuous_rays")).sum(),
-        discrete_rays: record.discrete_rays,
-        propagation_seconds: sum(&[Stage::Surfels, Stage::Shoot, Stage::Propagate, Stage::Refresh]),
-        linear_method_seconds: journal.seconds(Stage::Propagate),
-        reconstruction_seconds: sum(&[Stage::Direct, Stage::Sky, Stage::Gather]),
-        overall_seconds: seconds,
-        ..Table1::default()
-    }
-    .with_rates(traced, sum(&tracing))
 }
 
 #[cfg(test)]

@@ -7,6 +7,7 @@ use luxel_transport::geometry::Geometry;
 use super::groups::Lighting;
 use super::journal::Journal;
 use super::keys::Keys;
+use super::lab::traced;
 use super::tracer::Tracer;
 use super::{Baking, Keep, Lit, atlas, light};
 use crate::Error;
@@ -14,7 +15,8 @@ use crate::plan::Plan;
 use crate::settings::Settings;
 use crate::store::Store;
 
-/// The finished lightmaps of a scene that was loaded with the same settings. What is in the store is not made, and what
+/// The finished lightmaps of a scene that was loaded with the same settings, and the continuous rays that were traced for
+/// them. What is in the store is not made, and what
 /// is made is left there, as by a bake; no other file is written.
 ///
 /// # Errors
@@ -24,7 +26,7 @@ pub fn lightmaps(
     settings: &Settings,
     store: Option<&Store>,
     progress: &dyn Progress,
-) -> Result<Lit, Error> {
+) -> Result<(Lit, u64), Error> {
     let mut scene = scene.clone();
     let lighting = Lighting::part(&mut scene, settings);
     let mut plan = Plan::new(&scene, settings);
@@ -35,5 +37,6 @@ pub fn lightmaps(
     let baking = Baking { settings, plan, lighting, keys, store, kept: None, only_stored: false };
     let mut journal = Journal::new(progress);
     let laid_out = atlas::run(&baking, &scene, &InProcess, &mut journal)?;
-    light(&baking, &Tracer::new(&geometry, None), laid_out, Keep::Images, &mut journal)
+    let lit = light(&baking, &Tracer::new(&geometry, None), laid_out, Keep::Images, &mut journal)?;
+    Ok((lit, traced(&journal.close())))
 }

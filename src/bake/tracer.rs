@@ -23,6 +23,11 @@ impl<'g> Tracer<'g> {
         Self { geometry, kept, rays: OnceCell::new() }
     }
 
+    /// With rays that are there already.
+    pub fn with(geometry: &'g Geometry<'g>, rays: Rays<'g>) -> Self {
+        Self { geometry, kept: None, rays: OnceCell::from(rays) }
+    }
+
     /// The rays. To be asked for by stages that the plan runs: each of them needs light, as this one does.
     ///
     /// # Errors

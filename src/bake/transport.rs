@@ -342,7 +342,8 @@ impl Transport {
                 shot
             };
             counters.insert("primary_photons".into(), shot.primary_photons);
-            counters.insert("direct_photons".into(), shot.direct_photons);
+            counters.insert("sent_photons".into(), shot.primary_photons * u64::from(PHOTONS_PER_POINT));
+            counters.insert("arrived_photons".into(), shot.arrived_photons);
             counters.insert("continuous_rays".into(), shot.rays);
             baking.put(Kind::Shoot, key, progress, |out| {
                 put_value(out, counters)?;

@@ -34,7 +34,7 @@ impl Baking<'_> {
             // What these were made from, a bake that reads them reads itself.
             Kind::Unwrap | Kind::Layout | Kind::Surfels | Kind::Clear | Kind::Direct | Kind::Sky => Vec::new(),
             // No bake reads what a report found out.
-            Kind::Reference | Kind::Measurement | Kind::Choice => Vec::new(),
+            Kind::Reference | Kind::Measurement | Kind::Choice | Kind::Figures | Kind::Map => Vec::new(),
         }
     }
 }

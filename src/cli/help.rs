@@ -133,7 +133,7 @@ Examples:
 
 --compare writes NAME.compare.png: every method's picture at one exposure, and below each its difference to the last one,
 or to --against, in false colour (red is brighter), with RMSE and bias in % of the mean radiance that surfaces reflect,
-wall-clock time of all that the method needs, and rays where it counts them. For that, nothing is taken from the store.
+wall-clock time of all that the method needs, and the rays that it traces for it. For that, nothing is taken from the store.
 
 Events of --json, one object per line, with their fields:
   started, progress, finished                          stages, as of luxel bake

@@ -8,7 +8,7 @@ use luxel::Error;
 use luxel::discover::Found;
 use luxel::render::compare::{Trial, difference, digits, sheet};
 use luxel::render::film::Picture;
-use luxel::render::method::{Chosen, Entry, METHODS, passes};
+use luxel::render::method::{Chosen, Entry, METHODS, Way, passes};
 use luxel::render::view::USUAL_FIELD;
 use luxel::render::{Order, Size, Studio, View, exposure, lens, output};
 use luxel::settings::for_scene;
@@ -24,8 +24,8 @@ use super::{End, each, places, prepare, print};
 /// Takes the pictures of every scene.
 pub fn render(args: &Render) -> anyhow::Result<u8> {
     let Bake { common, out, .. } = &args.bake;
-    let order = order(args)?;
     let wanted = wanted(args)?;
+    let order = order(args, wanted.ways())?;
     let mut job = prepare(common, out.as_deref())?;
     job.deed = "rendered";
     ensure!(args.to.is_none() || job.scenes() == 1, "--to names one picture, and there are {} scenes", job.scenes());
@@ -47,7 +47,7 @@ pub fn render(args: &Render) -> anyhow::Result<u8> {
 }
 
 /// What all pictures have in common; every error here is one of usage.
-fn order(args: &Render) -> anyhow::Result<Order> {
+fn order(args: &Render, ways: Vec<Way>) -> anyhow::Result<Order> {
     let view = match (&args.camera, args.eye, args.target) {
         (Some(name), ..) => View::Camera(name.clone()),
         (None, Some(eye), Some(target)) => {
@@ -59,7 +59,7 @@ fn order(args: &Render) -> anyhow::Result<Order> {
     if let (Some(width), Some(height)) = (args.width, args.height) {
         lens::bound(width, height)?;
     }
-    Ok(Order { view, size, samples: args.aa, exposure: args.exposure })
+    Ok(Order { view, size, samples: args.aa, exposure: args.exposure, ways })
 }
 
 /// Which methods are wanted.
@@ -72,6 +72,14 @@ enum Wanted {
 impl Wanted {
     fn is_comparison(&self) -> bool {
         matches!(self, Self::Several(..))
+    }
+
+    fn ways(&self) -> Vec<Way> {
+        let all = match self {
+            Self::One(chosen) => std::slice::from_ref(chosen),
+            Self::Several(all, _) => all,
+        };
+        all.iter().map(|chosen| chosen.way(chosen.draws)).collect()
     }
 }
 
@@ -142,9 +150,11 @@ impl Scene<'_> {
         let start = Instant::now();
         let always = chosen.entry.draws.is_some_and(|d| d.is_progressive);
         let wanted = always || self.args.progressive || self.args.time.is_some();
-        let (picture, draws) = match chosen.first_pass().filter(|_| wanted) {
-            Some(first) => self.progressive(chosen, first, start)?,
-            None => (self.studio.picture(chosen.way(chosen.draws), 0, self.reporter)?, chosen.draws),
+        let (picture, draws) = match (chosen.first_pass().filter(|_| wanted), chosen.way(chosen.draws)) {
+            (Some(first), Way::Found(technique)) => {
+                self.studio.passes(technique, self.reporter, |take| self.progressive(chosen, first, start, take))?
+            }
+            (_, way) => (self.studio.picture(way, self.reporter)?, chosen.draws),
         };
         let ev = self.write(&picture)?;
         self.reporter.finish();
@@ -154,15 +164,21 @@ impl Scene<'_> {
 
     /// Passes, each written, until what may be drawn is spent or the time is over. Returns the sum of all and how often
     /// it has drawn.
-    fn progressive(&self, chosen: Chosen, first: u32, start: Instant) -> Result<(Picture, u32), Error> {
+    fn progressive(
+        &self,
+        chosen: Chosen,
+        first: u32,
+        start: Instant,
+        take: &mut dyn FnMut(u32) -> Result<Picture, Error>,
+    ) -> Result<(Picture, u32), Error> {
         let mut sum: Option<(Picture, u32)> = None;
-        // How long the last pass took. The first one also makes what all of them need, so the time is rather kept.
+        // How long the last pass took.
         let mut last = None;
         for (pass, draws) in (0..).zip(passes(first, chosen.draws)) {
             let spent = sum.as_ref().map_or(0, |(_, spent)| *spent);
             let Some(draws) = self.affordable(draws, start, last) else { break };
             let own = Instant::now();
-            let picture = self.studio.picture(chosen.way(draws), pass, self.reporter)?;
+            let picture = take(draws)?;
             last = Some((own.elapsed(), draws));
             let total = spent + draws;
             let blended = match sum.take() {
@@ -202,7 +218,7 @@ impl Scene<'_> {
             let way = chosen.way(chosen.draws);
             // The solution is made once, and counted for every method that needs it.
             let solution = if way.rests_on_solution() { self.studio.solve(self.reporter)? } else { 0.0 };
-            let (picture, own) = timed(|| self.studio.picture(way, 0, self.reporter))?;
+            let (picture, own) = timed(|| self.studio.picture(way, self.reporter))?;
             trials.push(Trial { name: chosen.label(), picture, seconds: solution + own });
         }
         let tone = self.studio.tone(&trials[against].picture, self.reporter)?;
@@ -214,7 +230,7 @@ impl Scene<'_> {
     }
 
     fn warnings(&self) -> Vec<Warning> {
-        self.studio.scene().notices.iter().map(Warning::from).collect()
+        self.studio.scene().notices.iter().map(Warning::from).chain(self.studio.warning.clone()).collect()
     }
 
     fn tell_pass(&self, chosen: &Chosen, pass: u32, draws: u32, picture: &Picture, took: Duration) {
@@ -257,10 +273,10 @@ impl Scene<'_> {
                 print::notes(&say, &self.warnings());
                 let per_pixel = spent.samples as f64 / picture.radiance.len() as f64;
                 say(&format!(
-                    "  {}: {width} × {height} pixels, {per_pixel:.2} samples each, light at {} points, {}{}EV {ev:.1}{}",
+                    "  {}: {width} × {height} pixels, {per_pixel:.2} samples each, light at {} points, {} M rays, {}EV {ev:.1}{}",
                     chosen.label(),
                     spent.points,
-                    rays(picture),
+                    digits(spent.rays as f64 * 1e-6),
                     picture.relative_error().map_or(String::new(), |e| format!("noise {}, ", percent(Some(e)))),
                     if self.order.exposure.is_some() { "" } else { " chosen" },
                 ));
@@ -296,7 +312,7 @@ impl Scene<'_> {
                 say("  method                  seconds    M rays     RMSE     bias      p95    noise");
                 for (i, (_, trial, d)) in rows().enumerate() {
                     let rays = trial.picture.spent.rays;
-                    let rays = if rays == 0 { "-".into() } else { digits(rays as f64 * 1e-6) };
+                    let rays = digits(rays as f64 * 1e-6);
                     let d = if i == against { [None; 3] } else { [d.rmse, d.bias, d.p95].map(Some) };
                     let [rmse, bias, p95] = d.map(percent);
                     say(&format!(
@@ -334,13 +350,6 @@ fn figures(chosen: &Chosen, picture: &Picture, seconds: f64) -> Value {
 
 fn written(files: &[&PathBuf]) -> Vec<String> {
     files.iter().map(|file| print::written(file)).collect()
-}
-
-fn rays(picture: &Picture) -> String {
-    match picture.spent.rays {
-        0 => String::new(),
-        rays => format!("{} M rays, ", digits(rays as f64 * 1e-6)),
-    }
 }
 
 fn percent(share: Option<f64>) -> String {

@@ -117,6 +117,7 @@ fn whole(
             if !findings.table1.is_empty() {
                 out(&format!("\n{}", luxel::study::table::text(&findings.table1)));
             }
+            print::notes(&|line: &str| reporter.say(line), &findings.warnings);
             findings.files.iter().for_each(|file| reporter.say(&format!("  {}", shown(file))));
         }
     }

@@ -16,11 +16,36 @@ pub struct Memory {
     pub images: u64,
     /// The scene's own buffers and images, which the export writes again.
     pub files: u64,
+    /// A photon map; bakes have none.
+    #[serde(skip)]
+    pub photons: u64,
+    /// Pictures of the scene; that of a bake is among the images.
+    #[serde(skip)]
+    pub picture: u64,
 }
 
 impl Memory {
     pub fn total(&self) -> u64 {
-        [self.rays, self.surfels, self.texels, self.images, self.files].into_iter().fold(0, u64::saturating_add)
+        self.parts().into_iter().fold(0, u64::saturating_add)
+    }
+
+    /// What the larger of two works takes, part by part: of those that are done one after the other.
+    pub fn max(self, other: Self) -> Self {
+        let [rays, surfels, texels, images, files, photons, picture] = self.parts();
+        Self {
+            rays: rays.max(other.rays),
+            surfels: surfels.max(other.surfels),
+            texels: texels.max(other.texels),
+            images: images.max(other.images),
+            files: files.max(other.files),
+            photons: photons.max(other.photons),
+            picture: picture.max(other.picture),
+        }
+    }
+
+    fn parts(&self) -> [u64; 7] {
+        let Self { rays, surfels, texels, images, files, photons, picture } = *self;
+        [rays, surfels, texels, images, files, photons, picture]
     }
 }
 
@@ -40,6 +65,16 @@ impl Plan {
     /// Counts the bytes of the files that the export writes again.
     pub fn weigh(&mut self, file_bytes: u64) {
         self.memory.files = file_bytes.saturating_mul(COPIES);
+    }
+
+    /// The memory of the trees of rays, whether or not the bake has a use for them.
+    pub fn memory_of_rays(&self) -> u64 {
+        rays_bytes(&self.facts)
+    }
+
+    /// The memory of the surfels and their light, whether or not the bake has a use for them.
+    pub fn memory_of_surfels(&self, scene: &Scene, settings: &Settings) -> u64 {
+        surfels_bytes(&self.facts, scene, settings)
     }
 
     /// The memory without what an atlas cannot have: no more pages than receivers, and no more than luxel makes. Objects
@@ -88,19 +123,27 @@ const FIXED: u64 = 16 << 20;
 /// Figures beyond all measure saturate: what asks for that much is refused by its stage, not by the estimate.
 pub fn estimate(facts: &Facts, scene: &Scene, settings: &Settings, runs: &dyn Fn(Stage) -> bool) -> Memory {
     let pixels = pixels(facts, settings);
+    let when = |stage, bytes| if runs(stage) { bytes } else { 0 };
+    Memory {
+        rays: when(Stage::Rays, rays_bytes(facts)),
+        surfels: when(Stage::Surfels, surfels_bytes(facts, scene, settings)),
+        texels: when(Stage::Unwrap, texel_bytes(pixels, settings, 1, runs)),
+        images: when(Stage::Finish, image_bytes(pixels)),
+        ..Memory::default()
+    }
+}
+
+fn rays_bytes(facts: &Facts) -> u64 {
+    (facts.triangles as u64).saturating_mul(RAY_TRIANGLE)
+}
+
+fn surfels_bytes(facts: &Facts, scene: &Scene, settings: &Settings) -> u64 {
     let surfels = match settings.voxels {
         Voxels::Budget(n) => u64::from(n),
         Voxels::Side(n) => patches(facts, longest_side(scene) / f64::from(n)),
         Voxels::Edge(edge) => patches(facts, f64::from(edge)),
     };
-    let when = |stage, bytes| if runs(stage) { bytes } else { 0 };
-    Memory {
-        rays: when(Stage::Rays, (facts.triangles as u64).saturating_mul(RAY_TRIANGLE)),
-        surfels: when(Stage::Surfels, surfels.saturating_mul(surfel_bytes(facts, settings))),
-        texels: when(Stage::Unwrap, texel_bytes(pixels, settings, 1, runs)),
-        images: when(Stage::Finish, image_bytes(pixels)),
-        files: 0,
-    }
+    surfels.saturating_mul(surfel_bytes(facts, settings))
 }
 
 /// Pixels of whole pages, of which charts cover about three quarters.

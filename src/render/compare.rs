@@ -119,9 +119,7 @@ fn paste(sheet: &mut Image8, (left, top): (u32, u32), image: &Image8) {
 }
 
 fn effort(trial: &Trial) -> String {
-    let rays = trial.picture.spent.rays;
-    let time = format!("{} s", digits(trial.seconds));
-    if rays == 0 { time } else { format!("{time}, {} M rays", digits(rays as f64 * 1e-6)) }
+    format!("{} s, {} M rays", digits(trial.seconds), digits(trial.picture.spent.rays as f64 * 1e-6))
 }
 
 fn noise(trial: &Trial) -> String {

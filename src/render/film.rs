@@ -44,7 +44,7 @@ pub struct Spent {
     pub samples: u64,
     /// Points whose light was asked for.
     pub points: u64,
-    /// Continuous rays spent on their light, where the method counts them.
+    /// Continuous rays spent on their light, those included that made the method ready.
     pub rays: u64,
 }
 
@@ -55,6 +55,13 @@ impl Picture {
         let dark = vec![Rgb::ZERO; pixels];
         let (reflected, error) = (dark.clone(), vec![0.0; pixels]);
         Self { width, height, radiance: dark, reflected, error, spent: Spent::default() }
+    }
+
+    /// The same where so many rays were traced before any of its points asked for light.
+    #[must_use]
+    pub fn after(mut self, rays: u64) -> Self {
+        self.spent.rays += rays;
+        self
     }
 
     /// Weighs in another estimate of the same picture, `weight` being its share of both together.

@@ -1,7 +1,12 @@
 //! Where the light on visible surfaces comes from: any method of transport, or a finished lightmap.
 
 use luxel_scene::{Cancelled, Progress};
-use luxel_transport::{Rgb, gather::Receiver, geometry::Geometry, methods::Method};
+use luxel_transport::{
+    Rgb,
+    gather::Receiver,
+    geometry::Geometry,
+    methods::{Light, Method},
+};
 use rayon::prelude::*;
 
 use super::march::Layer;
@@ -36,6 +41,12 @@ pub struct Lit {
     pub rays: u32,
 }
 
+impl From<&Light> for Lit {
+    fn from(light: &Light) -> Self {
+        Self { irradiance: light.total(), error: light.error, rays: light.rays }
+    }
+}
+
 /// Light on surfaces. Implementations are pure: the same points give the same bits, on any number of threads.
 pub trait Illumination: Sync {
     /// The light at every point, in their order.
@@ -55,9 +66,24 @@ pub struct ByMethod<'a>(pub &'a dyn Method);
 
 impl Illumination for ByMethod<'_> {
     fn light(&self, points: &[Point], progress: &dyn Progress) -> Result<Vec<Lit>, Cancelled> {
-        let receivers: Vec<Receiver> = points.iter().map(|p| p.receiver).collect();
-        let light = self.0.light(&receivers, progress)?;
-        Ok(light.iter().map(|l| Lit { irradiance: l.total(), error: l.error, rays: l.rays }).collect())
+        Ok(self.0.light(&receivers(points), progress)?.iter().map(Lit::from).collect())
+    }
+}
+
+fn receivers(points: &[Point]) -> Vec<Receiver> {
+    points.iter().map(|p| p.receiver).collect()
+}
+
+/// The same of a method that draws at random, with so many draws.
+pub struct ByDraws<'a> {
+    pub method: &'a dyn Method,
+    pub draws: u32,
+}
+
+impl Illumination for ByDraws<'_> {
+    fn light(&self, points: &[Point], progress: &dyn Progress) -> Result<Vec<Lit>, Cancelled> {
+        let found = self.method.drawn(&receivers(points), self.draws, progress)?;
+        Ok(found.iter().map(Lit::from).collect())
     }
 }
 

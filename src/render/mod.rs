@@ -16,6 +16,7 @@ pub mod label;
 pub mod lens;
 pub mod light;
 pub mod march;
+pub mod memory;
 pub mod method;
 pub mod output;
 pub mod pattern;

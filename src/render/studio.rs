@@ -3,16 +3,18 @@
 use std::cell::OnceCell;
 use std::path::Path;
 
-use luxel_export::{ToneMap, sample_lightmap};
+use glam::DVec3;
+use luxel_export::{ToneMap, report::Warning, sample_lightmap};
 use luxel_scene::{Camera, Progress, Scene};
 use luxel_transport::{Rgb, direct::Visibility, frame::Frame, geometry::Geometry, rays::Rays};
 
 use super::choose::choose;
 use super::exposure;
 use super::film::{Picture, expose};
-use super::lens::{Lens, Size};
-use super::light::{ByLightmap, ByMethod, Illumination};
+use super::lens::{self, Lens, Size};
+use super::light::{ByDraws, ByLightmap, ByMethod, Illumination};
 use super::march::Look;
+use super::memory;
 use super::method::Way;
 use super::pixel::Screen;
 use super::view::View;
@@ -31,6 +33,8 @@ pub struct Order {
     pub samples: u32,
     /// EV₁₀₀; chosen by the picture where nobody says it.
     pub exposure: Option<f64>,
+    /// How they will be taken, by which it is judged whether that fits into memory.
+    pub ways: Vec<Way>,
 }
 
 /// Keeps a store below its cap when a picture is over, however it ends.
@@ -54,7 +58,10 @@ pub struct Studio<'a> {
     store: Option<&'a Store>,
     /// By which edges are found; estimated from the first picture that is taken.
     edges: OnceCell<ToneMap>,
-    lightmap: OnceCell<Lit>,
+    /// With the continuous rays that were traced for it.
+    lightmap: OnceCell<(Lit, u64)>,
+    /// What a person should know of the memory that pictures take.
+    pub warning: Option<Warning>,
 }
 
 impl Studio<'_> {
@@ -62,7 +69,7 @@ impl Studio<'_> {
     /// left there. Works on a pool of as many threads as the settings say.
     ///
     /// # Errors
-    /// As a bake; a camera that the scene does not have; more pixels than a picture may have.
+    /// As a bake; a camera that the scene does not have; more pixels than a picture may have, or than fit into memory.
     pub fn with<T: Send>(
         path: &Path,
         settings: &Settings,
@@ -94,10 +101,12 @@ impl Studio<'_> {
         work: impl FnOnce(&Studio) -> Result<T, Error>,
     ) -> Result<T, Error> {
         let camera = order.view.camera(scene)?;
-        if let Some(camera) = &camera {
-            // Before any work.
-            order.size.of(camera)?;
-        }
+        // Before any work.
+        let (width, height) =
+            order.size.of(camera.as_ref().unwrap_or(&lens::camera(DVec3::ZERO, DVec3::NEG_Z, 1.0)))?;
+        let pixels = u64::from(width) * u64::from(height);
+        let needs = memory::estimate(scene, settings, &order.ways, pixels, camera.is_some());
+        let warning = bake::memory::check(&needs)?;
         Lab::with(scene, settings, store, progress, |lab| {
             let whole = whole(scene);
             let geometry = whole.as_ref().map(Geometry::new);
@@ -108,7 +117,7 @@ impl Studio<'_> {
                 None => chosen(lab, &look, progress)?,
             };
             let (width, height) = order.size.of(&camera)?;
-            let lens = lens(&camera, &lab.rays.geometry.frame, width, height);
+            let lens = lens_of(&camera, &lab.rays.geometry.frame, width, height);
             let studio = Studio {
                 lab,
                 look,
@@ -120,6 +129,7 @@ impl Studio<'_> {
                 store,
                 edges: OnceCell::new(),
                 lightmap: OnceCell::new(),
+                warning,
             };
             work(&studio)
         })
@@ -138,23 +148,45 @@ impl Studio<'_> {
         Ok(self.lab.cache(progress)?.cost.seconds)
     }
 
-    /// Takes a picture. Pictures of several passes have samples and noise of their own, to be blended.
+    /// Takes a picture.
     ///
     /// # Errors
     /// As a bake.
-    pub fn picture(&self, way: Way, pass: u32, progress: &dyn Progress) -> Result<Picture, Error> {
+    pub fn picture(&self, way: Way, progress: &dyn Progress) -> Result<Picture, Error> {
         match way {
-            Way::Found(technique) => self.lab.method(technique, Visibility::Shafts, progress, |method| {
-                self.expose(&ByMethod(method), pass, progress)
+            Way::Found(technique) => self.lab.method(technique, Visibility::Shafts, progress, |ready| {
+                let picture = self.expose(&ByMethod(ready.method), 0, progress)?;
+                Ok(picture.after(ready.rays))
             }),
             Way::Lightmap => {
-                let lit = self.lightmap(progress)?;
+                let (lit, rays) = self.lightmap(progress)?;
                 let lookup = |instance, triangle, u, v| at(lit, instance, triangle, u, v);
                 let geometry = self.look.rays.geometry;
                 let light = ByLightmap { geometry, lookup: &lookup, mean: lit.sums.mean };
-                self.expose(&light, pass, progress)
+                Ok(self.expose(&light, 0, progress)?.after(*rays))
             }
         }
+    }
+
+    /// Makes a method that draws at random ready, once, for any number of pictures: `work` takes them one by one by the
+    /// function that it gets, each with so many draws. They have samples and noise of their own, to be blended.
+    ///
+    /// # Errors
+    /// As a bake, and those of the work.
+    pub fn passes<T>(
+        &self,
+        technique: Technique,
+        progress: &dyn Progress,
+        work: impl FnOnce(&mut dyn FnMut(u32) -> Result<Picture, Error>) -> Result<T, Error>,
+    ) -> Result<T, Error> {
+        self.lab.method(technique, Visibility::Shafts, progress, |ready| {
+            let (mut pass, mut before) = (0, ready.rays);
+            work(&mut |draws| {
+                let picture = self.expose(&ByDraws { method: ready.method, draws }, pass, progress)?;
+                pass += 1;
+                Ok(picture.after(std::mem::take(&mut before)))
+            })
+        })
     }
 
     fn expose(&self, light: &dyn Illumination, pass: u32, progress: &dyn Progress) -> Result<Picture, Error> {
@@ -181,7 +213,7 @@ impl Studio<'_> {
         }
     }
 
-    fn lightmap(&self, progress: &dyn Progress) -> Result<&Lit, Error> {
+    fn lightmap(&self, progress: &dyn Progress) -> Result<&(Lit, u64), Error> {
         if let Some(lit) = self.lightmap.get() {
             return Ok(lit);
         }
@@ -190,7 +222,7 @@ impl Studio<'_> {
     }
 }
 
-fn lens(camera: &Camera, frame: &Frame, width: u32, height: u32) -> Lens {
+fn lens_of(camera: &Camera, frame: &Frame, width: u32, height: u32) -> Lens {
     Lens::new(camera, frame, f64::from(width) / f64::from(height))
 }
 
@@ -210,8 +242,8 @@ fn chosen(lab: &Lab, look: &Look, progress: &dyn Progress) -> Result<Camera, Err
     let lit = solution.direct.iter().zip(&solution.indirect).map(|(d, i)| f64::from((*d + *i).max_element()));
     let (sum, count) = lit.filter(|e| *e > 0.0).fold((0.0, 0u32), |(sum, count), e| (sum + e, count + 1));
     let typical = (sum / f64::from(count.max(1))) as f32;
-    lab.method(Technique::Cached(Gatherer::Lookup), Visibility::Rays, progress, |method| {
-        Ok(choose(look, &ByMethod(method), typical, progress)?)
+    lab.method(Technique::Cached(Gatherer::Lookup), Visibility::Rays, progress, |ready| {
+        Ok(choose(look, &ByMethod(ready.method), typical, progress)?)
     })
 }
 
@@ -232,7 +264,7 @@ mod tests {
         Voxels,
         value::{Samples, Texels},
     };
-    use glam::{DVec3, Vec3};
+    use glam::Vec3;
     use luxel_scene::{Material, Silent, Sky, build::Builder};
 
     fn settings() -> Settings {
@@ -242,7 +274,7 @@ mod tests {
 
     fn order(eye: DVec3, target: DVec3) -> Order {
         let size = Size { width: Some(24), height: Some(16) };
-        Order { view: View::from(eye, target, 70.0).unwrap(), size, samples: 16, exposure: None }
+        Order { view: View::from(eye, target, 70.0).unwrap(), size, samples: 16, exposure: None, ways: Vec::new() }
     }
 
     /// Pictures by every method, with few draws.
@@ -251,7 +283,7 @@ mod tests {
             let by = |entry: &'static crate::render::method::Entry| {
                 let draws = entry.draws.map_or(0, |d| d.usual);
                 let chosen = Chosen { entry, draws };
-                Ok((entry.name, studio.picture(chosen.way(draws), 0, &Silent)?))
+                Ok((entry.name, studio.picture(chosen.way(draws), &Silent)?))
             };
             METHODS.iter().map(by).collect()
         };
@@ -266,6 +298,7 @@ mod tests {
         b.cuboid("box", Vec3::ZERO, Vec3::new(3.0, 2.0, 4.0), glow, true);
         let scene = b.build();
         for (name, picture) in pictures(&scene, &order(DVec3::new(0.7, 0.8, 0.4), DVec3::new(1.9, 1.1, 3.8))) {
+            assert!(picture.spent.rays > 0, "{name} counts no rays");
             // An error that is estimated from two values may be small by chance; over all pixels it is not.
             let stated = (picture.relative_error().unwrap_or(0.0) * picture.mean_reflected()) as f32;
             let far = |l: &Rgb| (*l - Rgb::splat(2.0)).abs().max_element();
@@ -315,7 +348,7 @@ mod tests {
             let order = order(eye, DVec3::ZERO);
             let chosen = Chosen { entry: &METHODS[0], draws: 0 };
             let middle = |p: Picture| p.radiance[8 * 24 + 12].x;
-            let picture = |studio: &Studio| studio.picture(chosen.way(0), 0, &Silent);
+            let picture = |studio: &Studio| studio.picture(chosen.way(0), &Silent);
             middle(Studio::of(&scene, &settings(), &order, None, &Silent, picture).unwrap())
         };
         assert!(look(DVec3::new(0.0, 2.0, 0.1)) < 1e-3, "the front is dark");
@@ -333,7 +366,7 @@ mod tests {
         let scene = b.build();
         let chosen = Chosen { entry: &METHODS[0], draws: 0 };
         let order = order(DVec3::Z * 2.0, DVec3::ZERO);
-        let picture = |studio: &Studio| studio.picture(chosen.way(0), 0, &Silent);
+        let picture = |studio: &Studio| studio.picture(chosen.way(0), &Silent);
         let picture = Studio::of(&scene, &settings(), &order, None, &Silent, picture).unwrap();
         assert_eq!(picture.radiance[8 * 24 + 12], Rgb::ONE);
     }
@@ -342,19 +375,24 @@ mod tests {
     fn passes_differ_and_their_blend_is_the_same_every_time() {
         let scene = luxel_assets::cornell();
         let size = Size { width: Some(12), height: Some(12) };
-        let order = Order { view: View::Scene, size, samples: 4, exposure: Some(3.0) };
-        let entry = crate::render::method::named("paths").unwrap();
+        let order = Order { view: View::Scene, size, samples: 4, exposure: Some(3.0), ways: Vec::new() };
+        // As many as it is told, whatever it was made for.
+        let technique = Technique::PathTracing { paths: 1 };
         let take = || {
-            let chosen = Chosen { entry, draws: 8 };
             let both = |studio: &Studio| {
-                let mut first = studio.picture(chosen.way(4), 0, &Silent)?;
-                let second = studio.picture(chosen.way(4), 1, &Silent)?;
-                assert!(first.radiance != second.radiance);
-                first.blend(&second, 0.5);
-                Ok(first)
+                studio.passes(technique, &Silent, |take| {
+                    let (mut first, second) = (take(4)?, take(4)?);
+                    assert!(first.radiance != second.radiance);
+                    first.blend(&second, 0.5);
+                    Ok(first)
+                })
             };
             Studio::of(&scene, &settings(), &order, None, &Silent, both).unwrap()
         };
         assert!(take() == take());
+        let once = |studio: &Studio| studio.picture(Way::Found(Technique::PathTracing { paths: 4 }), &Silent);
+        let once = Studio::of(&scene, &settings(), &order, None, &Silent, once).unwrap();
+        let first = |studio: &Studio| studio.passes(technique, &Silent, |take| take(4));
+        assert!(once == Studio::of(&scene, &settings(), &order, None, &Silent, first).unwrap());
     }
 }

@@ -34,6 +34,10 @@ pub enum Kind {
     Measurement,
     /// The settings that were found for an error.
     Choice,
+    /// The figures of the paper's Table 1 of one bake, of a report.
+    Figures,
+    /// Light at the texels of an error map, of a report.
+    Map,
 }
 
 impl Kind {
@@ -51,14 +55,15 @@ impl Kind {
         Self::Finish,
     ];
 
-    pub const ALL: [Self; 13] = {
-        let mut all = [Self::Choice; 13];
+    pub const ALL: [Self; 15] = {
+        let mut all = [Self::Choice; 15];
         let mut i = 0;
         while i < Self::BAKED.len() {
             all[i] = Self::BAKED[i];
             i += 1;
         }
         (all[10], all[11]) = (Self::Reference, Self::Measurement);
+        (all[13], all[14]) = (Self::Figures, Self::Map);
         all
     };
 
@@ -78,6 +83,8 @@ impl Kind {
             Self::Reference => "reference",
             Self::Measurement => "measurement",
             Self::Choice => "choice",
+            Self::Figures => "figures",
+            Self::Map => "map",
         }
     }
 
@@ -87,16 +94,18 @@ impl Kind {
             Self::Unwrap => (b"Unw", 1),
             Self::Layout => (b"Lay", 1),
             Self::Surfels => (b"Srf", 1),
-            Self::Shoot => (b"Sht", 1),
-            Self::Solution => (b"Sol", 2),
+            Self::Shoot => (b"Sht", 2),
+            Self::Solution => (b"Sol", 3),
             Self::Clear => (b"Clr", 1),
             Self::Direct => (b"Dir", 1),
             Self::Sky => (b"Sky", 1),
             Self::Gather => (b"Gth", 2),
-            Self::Finish => (b"Fin", 2),
-            Self::Reference => (b"Ref", 1),
+            Self::Finish => (b"Fin", 3),
+            Self::Reference => (b"Ref", 2),
             Self::Measurement => (b"Mea", 1),
             Self::Choice => (b"Cho", 1),
+            Self::Figures => (b"Fig", 1),
+            Self::Map => (b"Map", 1),
         };
         let mut magic = *b"luxel\0\0\0";
         magic[5..].copy_from_slice(letters);

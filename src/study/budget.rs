@@ -12,6 +12,7 @@ use std::path::Path;
 use luxel_scene::{Progress, Scene, Uncounted};
 use serde::{Deserialize, Serialize};
 
+use super::keys;
 use super::ladder::{self, RUNGS};
 use super::measure::Measure;
 use super::run::whole_light;
@@ -22,7 +23,7 @@ use crate::Error;
 use crate::bake::artefact;
 use crate::bake::digest::Digest;
 use crate::bake::lab::{self, Lab};
-use crate::plan::Stage;
+use crate::bake::memory;
 use crate::settings::{
     FIELDS, Origin, Resolved, Settings,
     value::{OrAuto, Texels},
@@ -200,11 +201,9 @@ fn trial<T>(
 
 /// Digest of what a choice follows from.
 fn key(trials: &Trials, target: f64) -> Key {
-    let digest = Digest::new("choice").number(super::VERSION).double(target).bytes(&trials.lab.identity());
-    let digest = Stage::ALL.into_iter().fold(digest, Digest::version);
+    let digest = keys::versions(Digest::new("choice").double(target).bytes(&trials.lab.identity()));
     let digest = trials.question.fixed.iter().fold(digest, |digest, name| digest.text(name));
-    let told = FIELDS.iter().filter(|field| crate::bake::matters(field.name));
-    told.fold(digest, |digest, field| digest.setting(trials.question.base, field.name)).done()
+    keys::lasting(digest, trials.question.base).done()
 }
 
 fn ascend(
@@ -214,14 +213,15 @@ fn ascend(
     judge: impl Fn(&Point, f64) -> Verdict,
 ) -> Result<Choice, Error> {
     let Trials { question, lab, small } = trials;
-    let (atlas, report) = lab::lay_out(question.scene, small, progress)?;
+    let (atlas, report) = lab::lay_out(question.scene, small, question.store, progress)?;
     let texels = truth::texels(lab, &atlas, TRUTH.texels);
-    let truth = truth::truth(lab, &atlas, texels, (&TRUTH, "target"), question.store, progress)?;
+    let truth = truth::truth(lab, texels, (&TRUTH, "target"), question.store, progress)?;
     let measure = Measure { lab, atlas: &atlas, truth: &truth, store: question.store, fresh: false, machine };
     let series: Series = series::together(small, question.fixed);
     progress.begin("trials", u64::from(RUNGS));
     let mut last: Option<Choice> = None;
     for (rung, attempt) in (0..).zip(&series.attempts) {
+        memory::check(&attempt.needs(question.scene))?;
         let point = measure.point(&series, attempt, &Uncounted(progress))?;
         progress.advance(1);
         let seconds = estimate(&point, question.base, report.density);

@@ -1,8 +1,10 @@
 //! Error maps: the atlas as it is baked, as the reference has it, and the difference, side by side.
 //!
 //! The difference is signed and relative to the mean irradiance: white where there is none, red where the bake is too
-//! bright, blue where it is too dark, full colour at ten per cent. Texels that do not count are grey.
+//! bright, blue where it is too dark, full colour at ten per cent. Texels that do not count, as those inside other
+//! geometry, are grey.
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use glam::Vec3;
@@ -11,14 +13,19 @@ use luxel_export::png::{Image8, encode_png};
 use luxel_export::tonemap::ToneMap;
 use luxel_scene::Progress;
 
+use super::keys;
 use super::truth::{self, Exactness};
 use crate::Error;
-use crate::bake::lab::{self, Lab};
+use crate::bake::{
+    artefact,
+    digest::Digest,
+    lab::{self, Lab},
+};
 use crate::settings::{
     Settings,
     value::{OrAuto, Texels},
 };
-use crate::store::Store;
+use crate::store::{Kind, Reader, Store};
 
 /// Side of the atlas that is mapped: every texel of it takes paths.
 const SIDE: u32 = 96;
@@ -37,29 +44,26 @@ const TRUTH: Exactness = Exactness { texels: usize::MAX, noise: 0.01, paths: 819
 
 const NOTHING: [u8; 3] = [96, 96, 96];
 
-/// The picture as PNG: baked, reference, difference.
+/// The settings of the bake that is mapped.
+pub fn settings(base: &Settings) -> Settings {
+    Settings { size: Texels(SIDE), texel_density: OrAuto(None), ..base.clone() }
+}
+
+/// The picture as PNG: baked, reference, difference. The laboratory's settings are those of [`settings`].
 ///
 /// # Errors
 /// As a bake.
-pub fn draw(
-    lab: &Lab,
-    base: &Settings,
-    most: &Exactness,
-    store: Option<&Store>,
-    progress: &dyn Progress,
-) -> Result<Vec<u8>, Error> {
-    let texel_density = OrAuto(None);
-    let small = Settings { size: Texels(SIDE), texel_density, ..base.clone() };
+pub fn draw(lab: &Lab, most: &Exactness, store: Option<&Store>, progress: &dyn Progress) -> Result<Vec<u8>, Error> {
     let how = Exactness { noise: TRUTH.noise.max(most.noise), paths: TRUTH.paths.min(most.paths), ..TRUTH };
-    let (atlas, _) = lab::lay_out(lab.scene(), &small, progress)?;
-    let lab = lab.tuned(&small);
-    let all = (0..atlas.texels.len()).collect();
-    let truth = truth::truth(&lab, &atlas, all, (&how, "maps"), store, progress)?;
-    let trial = lab::attempt(lab.scene(), &small, &atlas, progress)?;
-    let counts = |i: usize| atlas.texels[i].coverage() >= 0.5 && !trial.parts.buried[i];
-    let found = |i: usize| trial.parts.total(i);
-    let known = |i: usize| truth.points[i].total();
-    let lit: Vec<Vec3> = (0..atlas.texels.len()).filter(|&i| counts(i)).map(known).collect();
+    let (atlas, _) = lab::lay_out(lab.scene(), lab.settings, store, progress)?;
+    let texels = truth::texels(lab, &atlas, TRUTH.texels);
+    let truth = truth::truth(lab, texels, (&how, "maps"), store, progress)?;
+    let baked = baked(lab, &atlas, store, progress)?;
+    let expected: BTreeMap<usize, Vec3> = truth.points.iter().map(|p| (p.texel, p.light.total)).collect();
+    let counts = |i: usize| expected.contains_key(&i);
+    let found = |i: usize| baked[i];
+    let known = |i: usize| expected[&i];
+    let lit: Vec<Vec3> = expected.values().copied().collect();
     let tone = ToneMap::auto(&lit, progress)?;
     let mean = truth.mean().max(f64::MIN_POSITIVE);
     let difference = |i: usize| {
@@ -69,6 +73,22 @@ pub fn draw(
     let encode = |light: Vec3| tone.encode(light);
     let panels: [&dyn Fn(usize) -> [u8; 3]; 3] = [&|i| encode(found(i)), &|i| encode(known(i)), &difference];
     Ok(encode_png(&sheet(&atlas, &panels, &counts))?)
+}
+
+/// What a bake finds at all texels [lux], made or read.
+fn baked(lab: &Lab, atlas: &Arc<Atlas>, store: Option<&Store>, progress: &dyn Progress) -> Result<Vec<Vec3>, Error> {
+    let digest = keys::versions(Digest::new("map")).bytes(&lab.identity());
+    let key = keys::lasting(digest, lab.settings).done();
+    let read = |body: &mut Reader| artefact::light(body, atlas.texels.len());
+    if let Some(stored) = store.and_then(|store| store.get(Kind::Map, &key, read)) {
+        return Ok(stored);
+    }
+    let parts = lab::attempt(lab.scene(), lab.settings, atlas, progress)?.parts;
+    let light: Vec<Vec3> = (0..atlas.texels.len()).map(|i| parts.total(i)).collect();
+    if let Some(store) = store {
+        store.put(Kind::Map, &key, |out| artefact::put_slice(out, &light));
+    }
+    Ok(light)
 }
 
 /// White at 0, red at 1, blue at −1.

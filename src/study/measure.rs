@@ -3,13 +3,11 @@
 use std::sync::Arc;
 
 use luxel_atlas::Atlas;
+use luxel_export::report::Table1;
 use luxel_scene::Progress;
-use luxel_transport::{
-    direct::Visibility,
-    gather::Receiver,
-    methods::{Light, Method},
-};
+use luxel_transport::{direct::Visibility, gather::Receiver, methods::Light};
 
+use super::keys;
 use super::series::{Attempt, Series, Trial};
 use super::truth::Truth;
 use super::{Point, Score};
@@ -17,10 +15,10 @@ use crate::Error;
 use crate::bake::{
     artefact,
     digest::Digest,
-    lab::{self, Cache, Cost, Lab, Technique},
+    lab::{self, Cost, Lab, Ready, Technique},
 };
 use crate::plan::Stage;
-use crate::settings::{FIELDS, Settings};
+use crate::settings::Settings;
 use crate::store::{Key, Kind, Reader, Store};
 
 /// A scene with its texels and their truth.
@@ -78,10 +76,37 @@ impl Measure<'_> {
             Trial::Bake(settings) => ("bake".to_owned(), settings),
             Trial::Method(technique, settings) => (format!("{technique:?}"), settings),
         };
-        let digest = Digest::new("measurement").number(super::VERSION).text(env!("CARGO_PKG_VERSION"));
+        let digest = Digest::new("measurement");
         let digest = digest.bytes(&self.truth.key).number(self.truth.paths.into()).text(&technique).text(self.machine);
-        let digest = Stage::ALL.into_iter().fold(digest, Digest::version);
-        FIELDS.iter().fold(digest, |digest, field| digest.setting(settings, field.name)).done()
+        keys::all(keys::versions(digest), settings).done()
+    }
+
+    /// The figures of the paper's Table 1 of a bake with these settings, measured or read.
+    ///
+    /// # Errors
+    /// As a bake.
+    pub fn table1(&self, settings: &Settings, progress: &dyn Progress) -> Result<Table1, Error> {
+        let read = |body: &mut Reader| artefact::body::<Table1>(body);
+        let store = self.store.filter(|_| !self.fresh);
+        if let Some(stored) = store.and_then(|store| store.get(Kind::Figures, &self.figures_key(settings), read)) {
+            return Ok(stored);
+        }
+        let trial = lab::attempt(self.lab.scene(), settings, self.atlas, progress)?;
+        self.keep(settings, &trial.table1);
+        Ok(trial.table1)
+    }
+
+    /// Every bake that is measured has them.
+    fn keep(&self, settings: &Settings, table1: &Table1) {
+        if let Some(store) = self.store {
+            store.put(Kind::Figures, &self.figures_key(settings), |out| artefact::put_value(out, table1));
+        }
+    }
+
+    /// Digest of what the figures of a bake follow from: the scene with its texels, all settings, the machine.
+    fn figures_key(&self, settings: &Settings) -> Key {
+        let digest = Digest::new("figures").bytes(&self.lab.identity()).text(self.machine);
+        keys::all(keys::versions(digest), settings).done()
     }
 
     fn made(&self, attempt: &Attempt, progress: &dyn Progress) -> Result<Point, Error> {
@@ -110,15 +135,14 @@ impl Measure<'_> {
             indirect: trial.parts.indirect[*i],
             ..Light::default()
         };
-        let counted = trial.counted();
-        let count = |name: &str| counted.get(name).copied().unwrap_or_default();
+        self.keep(settings, &trial.table1);
         Ok(Found {
-            light: self.truth.texels.iter().map(light).collect(),
+            light: self.truth.points.iter().map(|known| light(&known.texel)).collect(),
             cost: trial.cost,
             texel_seconds: trial.seconds(&[Stage::Clear, Stage::Direct, Stage::Sky, Stage::Gather]),
             surfels: trial.facts.surfels,
-            continuous_rays: count("continuous_rays"),
-            discrete_rays: count("discrete_rays"),
+            continuous_rays: trial.table1.continuous_rays,
+            discrete_rays: trial.table1.discrete_rays,
         })
     }
 
@@ -128,21 +152,17 @@ impl Measure<'_> {
         let lab = self.lab.tuned(settings);
         // What the solution took was measured when it was made; here it is only asked for.
         let cache = if technique.is_cached() { Some(lab.cache(progress)?) } else { None };
-        let work = |method: &dyn Method| Ok(method.light(&receivers, progress)?);
-        let (all, cost) = Cost::of(|| lab.method(technique, Visibility::Shafts, progress, work));
-        let all: Vec<Light> = all?;
+        let work = |Ready { method, rays }: Ready| Ok((method.light(&receivers, progress)?, rays));
+        let (found, cost) = Cost::of(|| lab.method(technique, Visibility::Shafts, progress, work));
+        let (all, prepared): (Vec<Light>, u64) = found?;
         let record = cache.and_then(|cache| cache.record.as_ref());
         let traced = |light: &Light| u64::from(light.rays);
-        let prepared = |cache: &Cache| {
-            let counters = cache.stages.iter().filter_map(|stage| stage.counters.get("continuous_rays"));
-            counters.sum::<u64>()
-        };
         Ok(Found {
-            light: self.truth.texels.iter().map(|&i| all[i]).collect(),
+            light: self.truth.points.iter().map(|known| all[known.texel]).collect(),
             texel_seconds: cost.seconds,
             cost: cost + lab.rays_cost + cache.map_or(Cost::default(), |cache| cache.cost),
             surfels: cache.map_or(0, |cache| cache.surfels.list.len() as u64),
-            continuous_rays: all.iter().map(traced).sum::<u64>() + cache.map_or(0, prepared),
+            continuous_rays: all.iter().map(traced).sum::<u64>() + prepared,
             discrete_rays: record.map_or(0, |record| record.discrete_rays),
         })
     }

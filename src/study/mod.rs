@@ -15,6 +15,7 @@
 //! | [`budget`] | the settings for an error or a time |
 //! | [`table`] | the paper's Table 1, row by row |
 //! | [`plot`], [`maps`] | pictures of it |
+//! | `keys` | what kept results follow from |
 //! | [`run`] | all of it for one scene |
 //!
 //! Errors follow from scene and settings alone; only seconds are read off clocks, and nothing but [`budget`] for a time
@@ -23,6 +24,7 @@
 pub mod advice;
 pub mod budget;
 pub mod fit;
+mod keys;
 pub mod ladder;
 pub mod maps;
 pub mod measure;
@@ -37,6 +39,3 @@ pub mod truth;
 pub use point::Point;
 pub use run::{Findings, Order, study};
 pub use score::Score;
-
-/// Raised whenever a measurement means something else: stored ones of an older version are then made anew.
-const VERSION: u64 = 1;

@@ -43,7 +43,7 @@ const COLUMNS: [(&str, &str); 29] = [
     ("seconds", "wall clock, light alone"),
     ("texel_seconds", "what of it belongs to texels"),
     ("cpu_seconds", "all of it, of all processors"),
-    ("continuous_rays", "rays against triangles; path tracing counts none, a photon map none of its photons"),
+    ("continuous_rays", "rays against triangles, photons and next events included"),
     ("discrete_rays", "surfels times directions, over all bounces"),
     ("reference_paths", "paths a texel of the reference"),
     ("mean_lux", "mean irradiance of the reference"),

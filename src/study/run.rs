@@ -5,7 +5,7 @@
 
 use std::path::{Path, PathBuf};
 
-use luxel_export::write_atomic;
+use luxel_export::{report::Warning, write_atomic};
 use luxel_scene::{Progress, Scene, Uncounted};
 use serde::Serialize;
 use serde_json::json;
@@ -20,6 +20,8 @@ use super::truth::{self, Exactness};
 use super::{Point, Score, maps, plot};
 use crate::Error;
 use crate::bake::lab::{self, Lab};
+use crate::bake::{memory, needs};
+use crate::plan::Memory;
 use crate::settings::{DoubleSided, LightGroups, Only, Settings};
 use crate::store::Store;
 
@@ -59,6 +61,8 @@ pub struct Findings {
     /// In one sentence, which setting limits the error.
     pub verdict: String,
     pub table1: Vec<Column>,
+    /// What a person should know of it.
+    pub warnings: Vec<Warning>,
     /// What was written.
     pub files: Vec<PathBuf>,
 }
@@ -88,10 +92,25 @@ pub fn study(
     tell: &mut (dyn FnMut(&Point) + Send),
 ) -> Result<Findings, Error> {
     let base = &whole_light(base);
+    let sweeps: Vec<Series> = series::sweeps(base, !scene.sky.is_dark())
+        .into_iter()
+        .filter(|s| order.sweeps.as_ref().is_none_or(|wanted| wanted.contains(&s.name)))
+        .collect();
+    let mut all: Vec<Series> = vec![series::as_it_is(base)];
+    all.extend(order.together.then(|| series::together(base, &[])));
+    all.extend(if order.methods { series::methods(base) } else { Vec::new() });
+    all.extend(sweeps.iter().cloned());
+    let columns = if order.table { table::settings(base, scene.triangle_count()).into() } else { Vec::new() };
+    let mapped = order.maps.then(|| maps::settings(base));
+    // What does not fit is told before the hours that the rest may take.
+    let attempts = all.iter().flat_map(|s| &s.attempts).map(|attempt| attempt.needs(scene));
+    let bakes = columns.iter().map(|(_, settings)| settings).chain(&mapped);
+    let needs = attempts.chain(bakes.map(|settings| needs::bake(scene, settings)));
+    let warnings = Vec::from_iter(memory::check(&needs.fold(Memory::default(), Memory::max))?);
     Lab::with(scene, base, None, progress, |lab| {
-        let (atlas, _) = lab::lay_out(scene, base, progress)?;
+        let (atlas, _) = lab::lay_out(scene, base, Some(store), progress)?;
         let texels = truth::texels(lab, &atlas, order.exactness.texels);
-        let truth = truth::truth(lab, &atlas, texels, (&order.exactness, REPORT), Some(store), progress)?;
+        let truth = truth::truth(lab, texels, (&order.exactness, REPORT), Some(store), progress)?;
         let measure = Measure {
             lab,
             atlas: &atlas,
@@ -101,14 +120,6 @@ pub fn study(
             machine: &order.machine,
         };
         let mut book = Book { order, folder, stem, points: Vec::new(), files: Vec::new() };
-        let sweeps: Vec<Series> = series::sweeps(base, !scene.sky.is_dark())
-            .into_iter()
-            .filter(|s| order.sweeps.as_ref().is_none_or(|wanted| wanted.contains(&s.name)))
-            .collect();
-        let mut all: Vec<Series> = vec![series::as_it_is(base)];
-        all.extend(order.together.then(|| series::together(base, &[])));
-        all.extend(if order.methods { series::methods(base) } else { Vec::new() });
-        all.extend(sweeps.iter().cloned());
         let count = all.iter().map(|s| s.attempts.len() as u64).sum();
         progress.begin("report", count);
         for series in &all {
@@ -121,10 +132,13 @@ pub fn study(
         }
         let advice = advice::advise(base, &sweeps, &book.points);
         let fits = all.iter().filter_map(|s| Some((s.name.clone(), law(s, &book.points)?))).collect();
-        let table1 = if order.table { columns(scene, base, &atlas, progress)? } else { Vec::new() };
+        let mut table1: Vec<Column> = if order.table { table::printed().into() } else { Vec::new() };
+        for (name, settings) in &columns {
+            table1.push(Column { name: (*name).into(), figures: measure.table1(settings, progress)? });
+        }
         let base_score = book.points.first().map(|p| p.score).unwrap_or_default();
         let reference =
-            Known { texels: truth.texels.len(), paths: truth.paths, mean: truth.mean(), noise: truth.noise() };
+            Known { texels: truth.points.len(), paths: truth.paths, mean: truth.mean(), noise: truth.noise() };
         let verdict = advice::verdict(&advice);
         let mut findings = Findings {
             scene: scene.name.clone(),
@@ -135,11 +149,12 @@ pub fn study(
             advice,
             verdict,
             table1,
+            warnings,
             files: Vec::new(),
         };
         book.close(&mut findings)?;
-        if order.maps {
-            let png = maps::draw(lab, base, &order.exactness, Some(store), progress)?;
+        if let Some(settings) = &mapped {
+            let png = maps::draw(&lab.tuned(settings), &order.exactness, Some(store), progress)?;
             let path = folder.join(format!("{stem}.maps.png"));
             write_atomic(&path, &png)?;
             findings.files.push(path);
@@ -157,23 +172,6 @@ pub(super) fn whole_light(base: &Settings) -> Settings {
 fn law(series: &Series, points: &[Point]) -> Option<Fit> {
     let own = points.iter().filter(|p| p.series == series.name);
     Fit::of(&own.map(|p| (p.x, p.score.rmse)).collect::<Vec<_>>())
-}
-
-/// The paper's columns, the same settings here, and the settings as they are.
-fn columns(
-    scene: &Scene,
-    base: &Settings,
-    atlas: &std::sync::Arc<luxel_atlas::Atlas>,
-    progress: &dyn Progress,
-) -> Result<Vec<Column>, Error> {
-    let triangles = scene.triangle_count();
-    let mut columns: Vec<Column> = table::printed().into();
-    let of_paper = table::settings_of_the_paper(base, triangles);
-    for (name, settings) in [("the paper's settings here", &of_paper), ("the settings as they are", base)] {
-        let trial = lab::attempt(scene, settings, atlas, progress)?;
-        columns.push(Column { name: name.into(), figures: table::measured(&trial, triangles) });
-    }
-    Ok(columns)
 }
 
 /// The files of a report as they grow.

@@ -1,7 +1,7 @@
 //! The error of light at the texels of a [`Truth`], by the metrics of the whole house ([`crate::verify::score`]), in a
 //! form that is stored.
 
-use luxel_transport::{Rgb, methods::Light};
+use luxel_transport::{Rgb, methods::Light, reference::Estimate};
 use serde::{Deserialize, Serialize};
 
 use super::truth::{Known, Truth};
@@ -35,25 +35,20 @@ pub struct Score {
 impl Score {
     /// The error of `light` at the texels of the truth, in their order.
     pub fn of(light: &[Light], truth: &Truth) -> Self {
-        // Texels were drawn in proportion to their areas, so each stands for as much.
-        let samples = |found: fn(&Light) -> Rgb, known: fn(&Known) -> (Rgb, Rgb, f64)| -> Vec<Sample> {
+        let samples = |found: fn(&Light) -> Rgb, known: fn(&Estimate) -> (Rgb, Rgb, f32)| -> Vec<Sample> {
             let sample = |(light, truth): (&Light, &Known)| {
-                let (expected, bands, variance) = known(truth);
-                let error = variance.sqrt() as f32;
-                Sample { found: found(light), expected, band_error: bands, error, weight: 1.0 }
+                let (expected, band_error, error) = known(&truth.light);
+                Sample { found: found(light), expected, band_error, error, weight: truth.weight }
             };
             light.iter().zip(&truth.points).map(sample).collect()
         };
-        let whole = measure(&samples(Light::total, |t| (t.total(), t.band_error, t.variance)));
-        let alike = |variance: f64| Rgb::splat(variance.sqrt() as f32);
+        let whole = measure(&samples(Light::total, |e| (e.total, e.band_error, e.standard_error)));
+        // The bands of a part have no errors of their own.
         let [direct, indirect] = [
-            samples(|l| l.direct, |t| (t.direct, Rgb::ZERO, t.direct_variance)),
-            samples(|l| l.indirect, |t| (t.indirect, Rgb::ZERO, t.indirect_variance)),
+            samples(|l| l.direct, |e| (e.direct, Rgb::splat(e.direct_error), e.direct_error)),
+            samples(|l| l.indirect, |e| (e.indirect, Rgb::splat(e.indirect_error), e.indirect_error)),
         ]
-        .map(|samples| {
-            let noisy = samples.into_iter().map(|s| Sample { band_error: alike(f64::from(s.error).powi(2)), ..s });
-            part(&noisy.collect::<Vec<_>>(), whole.mean)
-        });
+        .map(|samples| part(&samples, whole.mean));
         Self {
             mean: whole.mean,
             noise: whole.noise,
@@ -80,8 +75,10 @@ mod tests {
 
     #[test]
     fn parts_have_errors_of_their_own() {
-        let known = Known { direct: Rgb::splat(3.0), indirect: Rgb::ONE, ..Known::default() };
-        let truth = Truth { texels: vec![0, 1], points: vec![known; 2], ..Truth::default() };
+        let known =
+            Estimate { direct: Rgb::splat(3.0), indirect: Rgb::ONE, total: Rgb::splat(4.0), ..Estimate::default() };
+        let point = Known { texel: 0, weight: 1.0, light: known };
+        let truth = Truth { points: vec![point; 2], ..Truth::default() };
         let light = |direct: f32, indirect: f32| Light {
             direct: Rgb::splat(direct),
             indirect: Rgb::splat(indirect),

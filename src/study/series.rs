@@ -1,7 +1,10 @@
 //! Which settings and methods are tried.
 
+use luxel_scene::Scene;
+
 use super::ladder;
-use crate::bake::lab::Technique;
+use crate::bake::{lab::Technique, needs};
+use crate::plan::Memory;
 use crate::settings::{Field, Gatherer, Settings};
 
 /// What is measured at a point.
@@ -20,6 +23,16 @@ pub struct Attempt {
     pub value: String,
     pub x: f64,
     pub trial: Trial,
+}
+
+impl Attempt {
+    /// The memory that it takes.
+    pub fn needs(&self, scene: &Scene) -> Memory {
+        match &self.trial {
+            Trial::Bake(settings) => needs::bake(scene, settings),
+            Trial::Method(technique, settings) => needs::method(scene, settings, *technique),
+        }
+    }
 }
 
 /// Points that differ in one thing.

@@ -6,8 +6,6 @@ use luxel_export::report::Table1;
 use serde::Serialize;
 
 use super::series;
-use crate::bake::lab::Trial;
-use crate::plan::Stage;
 use crate::settings::Settings;
 
 /// A column of the table.
@@ -17,7 +15,7 @@ pub struct Column {
     pub figures: Table1,
 }
 
-/// The two columns of the paper: a scene of 1,176 triangles without, and one of 67,462 with anti-aliasing.
+/// The two columns of the paper, with its names (what it calls direct photons are those from one primary photon): a scene of 1,176 triangles without, and one of 67,462 with anti-aliasing.
 pub fn printed() -> [Column; 2] {
     let rates = |table: Table1, continuous: f64, discrete: f64| Table1 {
         continuous_rays_per_second: continuous,
@@ -62,8 +60,14 @@ pub fn printed() -> [Column; 2] {
     ]
 }
 
+/// The columns that are measured here, by their names: the paper's settings, and the settings as they are.
+pub fn settings(base: &Settings, triangles: usize) -> [(&'static str, Settings); 2] {
+    let of_the_paper = settings_of_the_paper(base, triangles);
+    [("the paper's settings here", of_the_paper), ("the settings as they are", base.clone())]
+}
+
 /// The settings with which the column of the paper that is nearest in triangles was made.
-pub fn settings_of_the_paper(base: &Settings, triangles: usize) -> Settings {
+fn settings_of_the_paper(base: &Settings, triangles: usize) -> Settings {
     let [first, second] = printed().map(|column| column.figures);
     let printed = if triangles < 10_000 { first } else { second };
     series::of_the_paper(
@@ -73,31 +77,6 @@ pub fn settings_of_the_paper(base: &Settings, triangles: usize) -> Settings {
         (printed.primary_photons * printed.direct_photons) as u32,
         printed.light_path_length as u32,
     )
-}
-
-/// The figures of a bake in memory. What the paper calls direct photons are rays from one primary photon.
-pub fn measured(trial: &Trial, triangles: usize) -> Table1 {
-    let counted = trial.counted();
-    let count = |name: &str| counted.get(name).copied().unwrap_or_default();
-    let record = trial.facts.record.clone().unwrap_or_default();
-    let tracing = [Stage::Shoot, Stage::Refresh, Stage::Direct, Stage::Sky, Stage::Gather];
-    let primary = count("primary_photons");
-    Table1 {
-        triangles: triangles as u64,
-        voxels: trial.facts.surfels,
-        light_path_length: record.path_length,
-        voxel_directions: record.directions,
-        primary_photons: primary,
-        direct_photons: count("direct_photons").checked_div(primary).unwrap_or_default(),
-        continuous_rays: count("continuous_rays"),
-        discrete_rays: record.discrete_rays,
-        propagation_seconds: trial.seconds(&[Stage::Surfels, Stage::Shoot, Stage::Propagate, Stage::Refresh]),
-        linear_method_seconds: trial.seconds(&[Stage::Propagate]),
-        reconstruction_seconds: trial.seconds(&[Stage::Direct, Stage::Sky, Stage::Gather]),
-        overall_seconds: trial.cost.seconds,
-        ..Table1::default()
-    }
-    .with_rates(count("continuous_rays"), trial.seconds(&tracing))
 }
 
 /// The rows as the paper names them, each with its value in every column.

@@ -1,30 +1,28 @@
-//! The reference at some texels of an atlas.
+//! The reference at some texels of an atlas, kept in a store.
 //!
-//! Texels are drawn in proportion to the area that they stand for, one from each of as many strata, so that a mean over
-//! them is a mean over surfaces. Those that are covered by less than half, or whose point lies inside other geometry, do
-//! not count. The reference walks in rounds of [`ROUND`] paths a texel, each with seeds of its own; what all rounds
-//! together found is kept in a store after each, so that nothing is walked twice.
+//! Texels are drawn and walked as by a verification ([`crate::verify::sample`]), in rounds of [`ROUND`] paths a texel,
+//! each with seeds of its own. What all rounds together found is kept after each, so that nothing is walked twice.
 
 use luxel_atlas::Atlas;
 use luxel_scene::Progress;
-use luxel_transport::{
-    Rgb,
-    gather::Receiver,
-    reference::{Options, Reference},
-    sampling::{combine, mix, unit},
-    validity,
-};
-use serde::{Deserialize, Serialize};
+use luxel_transport::reference::{Estimate, Options, Reference};
 
+use super::keys;
 use crate::Error;
 use crate::bake::{artefact, digest::Digest, lab::Lab};
-use crate::store::{Key, Kind, Store};
+use crate::settings::{DoubleSided, Only};
+use crate::store::{Key, Kind, Reader, Store};
+use crate::verify::sample::{Drawn, Holds, Population, Sum, walk};
+use crate::verify::y;
 
 /// Paths a texel and round.
 pub const ROUND: u32 = 1024;
 
-/// Mixed into the seeds of rounds, which have nothing to do with a bake's own.
+/// Mixed into the seeds of draws and rounds, which have nothing to do with a bake's own or a verification's.
 const SEED: u64 = 0x7245_7468;
+
+/// Errors are those of all light, on fronts.
+const HOLDS: Holds = Holds { double_sided: DoubleSided::Front, only: Only::All };
 
 /// How exact the reference has to be.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -38,31 +36,19 @@ pub struct Exactness {
 }
 
 /// What is known of a texel.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default)]
 pub struct Known {
-    /// [lux]
-    pub direct: Rgb,
-    pub indirect: Rgb,
-    /// Standard error of every band of both together [lux].
-    pub band_error: Rgb,
-    /// Variances of the band means [lux²]: of both together, and of each.
-    pub variance: f64,
-    pub direct_variance: f64,
-    pub indirect_variance: f64,
-}
-
-impl Known {
-    /// All light [lux].
-    pub fn total(&self) -> Rgb {
-        self.direct + self.indirect
-    }
+    /// Number in the atlas.
+    pub texel: usize,
+    /// 1 where the draw follows area, else the area that it stands for.
+    pub weight: f64,
+    pub light: Estimate,
 }
 
 /// The reference at some texels.
 #[derive(Clone, Debug, Default)]
 pub struct Truth {
-    /// Numbers in the atlas.
-    pub texels: Vec<usize>,
+    /// In the order of the draw, which is that of the atlas.
     pub points: Vec<Known>,
     /// Paths a texel.
     pub paths: u32,
@@ -73,47 +59,26 @@ pub struct Truth {
 impl Truth {
     /// Mean irradiance, over the bands [lux].
     pub fn mean(&self) -> f64 {
-        let sum: f64 = self.points.iter().map(|t| f64::from(t.total().element_sum()) / 3.0).sum();
-        sum / self.points.len().max(1) as f64
+        self.average(|light| y(light.total))
     }
 
     /// Root mean square of the standard error over the mean.
     pub fn noise(&self) -> f64 {
-        let variance = self.points.iter().map(|t| t.variance).sum::<f64>() / self.points.len().max(1) as f64;
-        if self.mean() > 0.0 { variance.sqrt() / self.mean() } else { 0.0 }
+        let (mean, square) = (self.mean(), self.average(|light| f64::from(light.standard_error).powi(2)));
+        if mean > 0.0 { square.sqrt() / mean } else { 0.0 }
+    }
+
+    fn average(&self, of: impl Fn(&Estimate) -> f64) -> f64 {
+        let weight: f64 = self.points.iter().map(|point| point.weight).sum();
+        let sum: f64 = self.points.iter().map(|point| point.weight * of(&point.light)).sum();
+        if weight > 0.0 { sum / weight } else { 0.0 }
     }
 }
 
-/// Sums over rounds, by texel: of the estimates of direct and indirect light, and of their variances.
-#[derive(Clone, Debug, Default, Serialize, Deserialize)]
-struct Sums {
-    rounds: u32,
-    direct: Vec<[f64; 3]>,
-    indirect: Vec<[f64; 3]>,
-    /// Of each band of both together, and of the band means of both, of direct, of indirect.
-    variance: Vec<[f64; 6]>,
-}
-
-/// Texels that count, evenly by area.
-pub fn texels(lab: &Lab, atlas: &Atlas, count: usize) -> Vec<usize> {
-    let receivers = lab.receivers(atlas);
-    let valid: Vec<usize> = (0..atlas.texels.len()).filter(|&i| atlas.texels[i].coverage() >= 0.5).collect();
-    let area = |i: usize| f64::from(atlas.texels[i].footprint()).powi(2) * f64::from(atlas.texels[i].coverage());
-    let total: f64 = valid.iter().map(|&i| area(i)).sum();
-    let stratum = total / count.max(1) as f64;
-    let (mut chosen, mut passed, mut next) = (Vec::new(), 0.0, 0u64);
-    let place = |k: u64| (k as f64 + f64::from(unit(mix(k)))) * stratum;
-    for i in valid {
-        passed += area(i);
-        let mut is_met = false;
-        while next < count as u64 && place(next) < passed {
-            (is_met, next) = (true, next + 1);
-        }
-        if is_met && !validity::is_buried(lab.rays, &receivers.receiver(i)) {
-            chosen.push(i);
-        }
-    }
-    chosen
+/// So many texels that count, by area; all of them where there are no more.
+pub fn texels(lab: &Lab, atlas: &Atlas, count: usize) -> Vec<Drawn> {
+    let drawn = Population::new(atlas, |_| false).draw(count, SEED);
+    Drawn::all(atlas, lab.rays, drawn, HOLDS)
 }
 
 /// Walks until the reference is exact enough; what is stored of it is not walked again.
@@ -125,72 +90,35 @@ pub fn texels(lab: &Lab, atlas: &Atlas, count: usize) -> Vec<usize> {
 /// When the work is cancelled: the rounds until then are stored.
 pub fn truth(
     lab: &Lab,
-    atlas: &Atlas,
-    texels: Vec<usize>,
+    mut texels: Vec<Drawn>,
     (how, purpose): (&Exactness, &str),
     store: Option<&Store>,
     progress: &dyn Progress,
 ) -> Result<Truth, Error> {
-    let receivers = lab.receivers(atlas);
-    let receivers: Vec<Receiver> = texels.iter().map(|&i| receivers.receiver(i)).collect();
-    let numbers: Vec<u64> = texels.iter().map(|&i| i as u64).collect();
-    let key =
-        Digest::new("reference").text(purpose).number(super::VERSION).bytes(&lab.identity()).slice(&numbers).done();
-    let read = |body: &mut crate::store::Reader| artefact::body::<Sums>(body);
-    let fits = |sums: &Sums| [sums.direct.len(), sums.indirect.len(), sums.variance.len()] == [texels.len(); 3];
-    let stored = store.and_then(|store| store.get(Kind::Reference, &key, read)).filter(fits);
-    let nothing = vec![[0.0; 3]; texels.len()];
-    let mut sums = stored.unwrap_or_else(|| Sums {
-        rounds: 0,
-        direct: nothing.clone(),
-        indirect: nothing.clone(),
-        variance: vec![[0.0; 6]; texels.len()],
-    });
+    let numbers: Vec<u64> = texels.iter().map(|d| d.texel as u64).collect();
+    let key = keys::version(Digest::new("reference")).text(purpose).bytes(&lab.identity()).slice(&numbers).done();
+    let read = |body: &mut Reader| artefact::body::<(u32, Vec<Sum>)>(body);
+    let stored = store.and_then(|store| store.get(Kind::Reference, &key, read));
+    let mut rounds = 0;
+    if let Some((walked, sums)) = stored.filter(|(_, sums)| sums.len() == texels.len()) {
+        rounds = walked;
+        texels.iter_mut().zip(sums).for_each(|(d, sum)| d.sums[0] = sum);
+    }
     let reference = Reference::new(lab.rays, Options::default());
     let most = how.paths.div_ceil(ROUND).max(1);
     loop {
-        let truth = sums.truth(&texels, key);
+        let known = |d: &Drawn| Known { texel: d.texel, weight: d.weight, light: d.expected(HOLDS) };
+        let truth = Truth { points: texels.iter().map(known).collect(), paths: rounds * ROUND, key };
         // One round alone says nothing about a light that it may have missed.
-        if texels.is_empty() || sums.rounds >= most || (sums.rounds >= 2 && truth.noise() <= how.noise) {
+        if texels.is_empty() || rounds >= most || (rounds >= 2 && truth.noise() <= how.noise) {
             return Ok(truth);
         }
-        sums.walk(&reference, &receivers, progress)?;
+        progress.begin("reference", texels.len() as u64);
+        walk(&reference, &mut texels, (ROUND, SEED + u64::from(rounds)), progress)?;
+        rounds += 1;
         if let Some(store) = store {
-            store.put(Kind::Reference, &key, |out| artefact::put_value(out, &sums));
+            let sums: Vec<Sum> = texels.iter().map(|d| d.sums[0]).collect();
+            store.put(Kind::Reference, &key, |out| artefact::put_value(out, &(rounds, &sums)));
         }
-    }
-}
-
-impl Sums {
-    fn walk(&mut self, reference: &Reference, receivers: &[Receiver], progress: &dyn Progress) -> Result<(), Error> {
-        let seed = combine(SEED, u64::from(self.rounds));
-        let seeded = |r: &Receiver| Receiver { seed: combine(r.seed, seed), ..*r };
-        let receivers: Vec<Receiver> = receivers.iter().map(seeded).collect();
-        for (i, e) in reference.irradiances(&receivers, ROUND, progress)?.into_iter().enumerate() {
-            for band in 0..3 {
-                self.direct[i][band] += f64::from(e.direct[band]);
-                self.indirect[i][band] += f64::from(e.indirect[band]);
-            }
-            let [r, g, b] = e.band_error.to_array();
-            let errors = [r, g, b, e.standard_error, e.direct_error, e.indirect_error];
-            for (sum, error) in self.variance[i].iter_mut().zip(errors) {
-                *sum += f64::from(error) * f64::from(error);
-            }
-        }
-        self.rounds += 1;
-        Ok(())
-    }
-
-    fn truth(&self, texels: &[usize], key: Key) -> Truth {
-        let n = f64::from(self.rounds.max(1));
-        let mean = |sums: &[f64; 3]| Rgb::from_array(sums.map(|sum| (sum / n) as f32));
-        let point = |i: usize| {
-            let [r, g, b, variance, direct_variance, indirect_variance] = self.variance[i].map(|sum| sum / (n * n));
-            let band_error = Rgb::from_array([r, g, b].map(|variance| variance.sqrt() as f32));
-            let (direct, indirect) = (mean(&self.direct[i]), mean(&self.indirect[i]));
-            Known { direct, indirect, band_error, variance, direct_variance, indirect_variance }
-        };
-        let points = (0..texels.len()).map(point).collect();
-        Truth { texels: texels.to_vec(), points, paths: self.rounds * ROUND, key }
     }
 }

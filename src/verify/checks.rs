@@ -121,7 +121,7 @@ pub(crate) fn leaks(trial: &Trial, ask: &Verify, found: &Found, mean: f64) -> Re
     let bright = |texel: &usize| y(trial.baked.value(*texel)) > SEEN * mean;
     // What is dark in the lightmap leaks nothing.
     let texels: Vec<(usize, f64)> = texels.into_iter().filter(|(texel, _)| bright(texel)).collect();
-    let mut probes = Drawn::all(&trial.baked, trial.rays, texels, trial.holds);
+    let mut probes = Drawn::all(trial.baked.atlas, trial.rays, texels, trial.holds);
     walk(&trial.reference, &mut probes, (FIRST, SEED), trial.progress)?;
     probes.retain(|d| y(d.sample(&trial.baked, trial.holds).expected) <= DARK * mean);
     let found_light = |d: &Drawn| y(trial.baked.value(d.texel));

@@ -37,7 +37,7 @@ use crate::Error;
 use crate::bake::direct_light;
 use crate::settings::{DoubleSided, Only, Settings};
 use sample::{Baked, Drawn, Holds, Population, walk};
-pub use score::{Interval, Measure, Sample, Score, measure, part, score};
+pub use score::{Interval, Measure, Sample, measure, part, y};
 
 /// Texels that are compared where nobody says how many.
 pub const TEXELS: u32 = 400;
@@ -90,9 +90,12 @@ pub fn verify(
     progress: &dyn Progress,
 ) -> Result<Verified, Error> {
     let holds = Holds { double_sided: settings.double_sided, only: settings.only };
-    let population = Population::new(&baked);
+    let population = Population::new(baked.atlas, |texel| baked.is_buried(texel));
     progress.begin(WORK, 0);
-    let trial = Trial { rays, baked, holds, population, reference: Reference::new(rays, Options::default()), progress };
+    // How many texels and paths it takes is found out on the way.
+    let uncounted = &Uncounted(progress);
+    let reference = Reference::new(rays, Options::default());
+    let trial = Trial { rays, baked, holds, population, reference, progress: uncounted };
     let (mut verification, leaks) = match trial.nothing() {
         Some(why) => (Verification { nothing: Some(why), ..Verification::default() }, None),
         None => {
@@ -190,7 +193,7 @@ impl Trial<'_> {
         }
         let count = if takes_all { all } else { count };
         let texels = self.population.draw(count as usize, SEED + found.asked);
-        let mut drawn = Drawn::all(&self.baked, self.rays, texels, self.holds);
+        let mut drawn = Drawn::all(self.baked.atlas, self.rays, texels, self.holds);
         self.trace(&mut drawn, found.paths.max(FIRST), SEED + found.asked)?;
         found.paths = found.paths.max(FIRST);
         found.asked += count;

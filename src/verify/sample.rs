@@ -5,7 +5,7 @@
 //! alone. Texels that count are covered by half at least and not buried.
 
 use glam::DVec3;
-use luxel_atlas::Atlas;
+use luxel_atlas::{Atlas, Texel};
 use luxel_export::{Lightmap, report::Place};
 use luxel_scene::{Progress, Scene};
 use luxel_transport::{
@@ -18,9 +18,11 @@ use luxel_transport::{
     validity,
 };
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 
 use super::score::{Sample, y};
 use crate::Error;
+use crate::bake::receivers::{own, turned};
 use crate::settings::{DoubleSided, Only};
 
 /// Share of a texel that its chart has to cover.
@@ -28,9 +30,6 @@ const COVERED: f32 = 0.5;
 
 /// Mixed into the seeds of the reference, which must not share its noise with the bake.
 const REFERENCE: u64 = 0x7e5f;
-
-/// Mixed into the seed of a receiver on the back of its surface.
-const BACK: u64 = 0xbac5;
 
 /// Paths between two looks at the progress.
 const STEP: u32 = 4096;
@@ -63,23 +62,18 @@ impl Baked<'_> {
 
     /// World area of the covered part of a texel [scene units squared].
     pub fn area(&self, texel: usize) -> f64 {
-        let t = &self.atlas.texels[texel];
-        f64::from(t.footprint()).powi(2) * f64::from(t.coverage())
+        area(&self.atlas.texels[texel])
     }
 
     /// Covered by half at least.
     pub fn is_shown(&self, texel: usize) -> bool {
-        self.atlas.texels[texel].coverage() >= COVERED
+        is_shown(&self.atlas.texels[texel])
     }
 
     /// A texel as a receiver, at its own point.
     pub fn receiver(&self, geometry: &Geometry, texel: usize) -> Receiver {
         let t = &self.atlas.texels[texel];
-        let chart = self.atlas.chart(t);
-        let triangle = geometry.triangle(chart.instance, t.triangle);
-        let footprint = geometry.frame.length(f64::from(t.footprint()));
-        let [u, v] = t.barycentric();
-        Receiver::on_triangle(geometry, triangle, u, v, footprint, chart.texel_seed(t.x, t.y))
+        own(geometry, t, self.atlas.chart(t))
     }
 
     /// World position of a texel [scene units].
@@ -106,6 +100,14 @@ impl Baked<'_> {
     }
 }
 
+fn area(texel: &Texel) -> f64 {
+    f64::from(texel.footprint()).powi(2) * f64::from(texel.coverage())
+}
+
+fn is_shown(texel: &Texel) -> bool {
+    texel.coverage() >= COVERED
+}
+
 /// The texels that can be drawn, with the area that all up to each of them have.
 pub struct Population {
     texels: Vec<u32>,
@@ -113,13 +115,14 @@ pub struct Population {
 }
 
 impl Population {
-    pub fn new(baked: &Baked) -> Self {
-        let (mut texels, mut ends, mut area) = (Vec::new(), Vec::new(), 0.0);
-        for texel in 0..baked.atlas.texels.len() {
-            if baked.is_shown(texel) && !baked.is_buried(texel) && baked.area(texel) > 0.0 {
-                area += baked.area(texel);
-                texels.push(texel as u32);
-                ends.push(area);
+    /// Those that are covered by half at least, and not known to be buried.
+    pub fn new(atlas: &Atlas, is_buried: impl Fn(usize) -> bool) -> Self {
+        let (mut texels, mut ends, mut sum) = (Vec::new(), Vec::new(), 0.0);
+        for (number, texel) in atlas.texels.iter().enumerate() {
+            if is_shown(texel) && !is_buried(number) && area(texel) > 0.0 {
+                sum += area(texel);
+                texels.push(number as u32);
+                ends.push(sum);
             }
         }
         Self { texels, ends }
@@ -165,26 +168,22 @@ pub struct Drawn {
     /// The other side, where the texel holds its light too.
     back: Option<Receiver>,
     /// Sums of the reference at both.
-    sums: [Sum; 2],
+    pub sums: [Sum; 2],
 }
 
 impl Drawn {
     /// The drawn texels whose light is that of their own point.
-    pub fn all(baked: &Baked, rays: &Rays, drawn: Vec<(usize, f64)>, holds: Holds) -> Vec<Self> {
+    pub fn all(atlas: &Atlas, rays: &Rays, drawn: Vec<(usize, f64)>, holds: Holds) -> Vec<Self> {
         let one = |(texel, weight): (usize, f64)| {
-            let front = baked.receiver(rays.geometry, texel);
+            let t = &atlas.texels[texel];
+            let chart = atlas.chart(t);
+            let front = own(rays.geometry, t, chart);
             if validity::is_buried(rays, &front) {
                 return None;
             }
-            let t = &baked.atlas.texels[texel];
-            let triangle = rays.geometry.triangle(baked.atlas.chart(t).instance, t.triangle);
+            let triangle = rays.geometry.triangle(chart.instance, t.triangle);
             let is_double = rays.geometry.material(triangle).double_sided;
-            let turned = Receiver {
-                normal: -front.normal,
-                shading_normal: -front.shading_normal,
-                seed: combine(front.seed, BACK),
-                ..front
-            };
+            let turned = turned(&front);
             let has_back = is_double && holds.double_sided != DoubleSided::Front;
             let back = Some(turned).filter(|back| has_back && !validity::is_buried(rays, back));
             Some(Self { texel, weight, front, back, sums: [Sum::default(); 2] })
@@ -212,6 +211,7 @@ impl Drawn {
                     * (front.band_error * front.band_error + back.band_error * back.band_error).map(f32::sqrt),
                 direct_error: 0.5 * front.direct_error.hypot(back.direct_error),
                 indirect_error: 0.5 * front.indirect_error.hypot(back.indirect_error),
+                rays: front.rays + back.rays,
             },
         }
     }
@@ -230,7 +230,8 @@ impl Drawn {
     }
 }
 
-/// Walks more paths at every texel. `round` seeds them: the rounds are independent estimates.
+/// Walks more paths at every texel. `round` seeds them: the rounds are independent estimates. Reports one unit of
+/// progress per texel.
 pub fn walk(
     reference: &Reference,
     drawn: &mut [Drawn],
@@ -251,6 +252,7 @@ pub fn walk(
                     let seed = combine(combine(receiver.seed, seed), which as u64);
                     d.sums[side].add(&reference.irradiance(&Receiver { seed, ..receiver }, now), now);
                 }
+                progress.advance(u64::from(side == 0 && left == now));
                 Ok(())
             };
             drawn.par_iter_mut().enumerate().try_for_each(one)?;
@@ -261,9 +263,10 @@ pub fn walk(
 }
 
 /// Independent estimates of one receiver, weighted by their paths.
-#[derive(Clone, Copy, Debug, Default)]
-struct Sum {
+#[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
+pub struct Sum {
     paths: f64,
+    rays: u64,
     direct: DVec3,
     indirect: DVec3,
     /// Variances times the squared number of paths.
@@ -278,6 +281,7 @@ impl Sum {
         let n = f64::from(paths);
         let square = |error: f32| (n * f64::from(error)).powi(2);
         self.paths += n;
+        self.rays += e.rays;
         self.direct += e.direct.as_dvec3() * n;
         self.indirect += e.indirect.as_dvec3() * n;
         self.band += e.band_error.as_dvec3() * e.band_error.as_dvec3() * (n * n);
@@ -297,6 +301,7 @@ impl Sum {
             band_error: (self.band.map(f64::sqrt) / n).as_vec3(),
             direct_error: root(self.of_direct),
             indirect_error: root(self.of_indirect),
+            rays: self.rays,
         }
     }
 }

@@ -12,8 +12,8 @@
 //! ```
 //!
 //! The reference is unbiased and independent of what is judged, so ⟨|Δ|²⟩ is the true mean square plus σ², and the
-//! difference is an unbiased estimate of the true one ([`Score`] leaves σ² in; [`Measure`] takes it off). Intervals hold
-//! the value with 95 % confidence, the reference's noise included:
+//! difference is an unbiased estimate of the true one. Intervals hold the value with 95 % confidence, the reference's noise
+//! included:
 //!
 //! - RMSE: the bootstrap-t (Efron & Tibshirani 1993, §12.5) of the ratio ⟨s⟩/Ȳ² with its standard error by the delta
 //!   method. Few texels hold most of a squared error, and of such a mean a symmetric interval would be too short above.
@@ -112,59 +112,6 @@ pub fn part(samples: &[Sample], over: f64) -> (f64, f64) {
     }
     let square = mean_of(samples, square).max(0.0).sqrt();
     (square / over, mean_of(samples, |s| y(s.found) - y(s.expected)) / over)
-}
-
-/// The error of some values against others, the reference's noise left in.
-#[derive(Clone, Copy, Debug)]
-pub struct Score {
-    pub samples: usize,
-    /// Area-weighted mean of the reference, band mean [lux].
-    pub mean: f64,
-    /// Over all three bands, over the mean. Includes the reference's own noise.
-    pub rmse: f64,
-    pub bias: f64,
-    /// Percentiles of |ΔY| / max(Y, 1 % of the mean Y).
-    pub median: f64,
-    pub p95: f64,
-    /// Root mean square of the reference's standard error over the mean.
-    pub noise: f64,
-}
-
-impl std::fmt::Display for Score {
-    fn fmt(&self, f: &mut std::fmt::Formatter) -> std::fmt::Result {
-        let [rmse, bias, median, p95, noise] =
-            [self.rmse, self.bias, self.median, self.p95, self.noise].map(|share| 100.0 * share);
-        write!(
-            f,
-            "mean E {:.4}, RMSE {rmse:.2} %, bias {bias:+.2} %, median {median:.2} %, p95 {p95:.1} %, \
-             reference noise {noise:.2} %",
-            self.mean
-        )
-    }
-}
-
-/// Compares values with a reference; `noise` are the reference's standard errors, `weights` areas.
-pub fn score(values: &[Rgb], truth: &[Rgb], noise: &[f32], weights: &[f64]) -> Score {
-    let sample = |i: usize| Sample {
-        found: values[i],
-        expected: truth[i],
-        error: noise[i],
-        weight: weights[i],
-        ..Sample::default()
-    };
-    let samples: Vec<Sample> = (0..values.len()).map(sample).collect();
-    let mean = mean_of(&samples, |s| y(s.expected));
-    let relative = relatives(&samples, mean);
-    let percentile = |q: f64| relative[((relative.len() - 1) as f64 * q) as usize];
-    Score {
-        samples: samples.len(),
-        mean,
-        rmse: mean_of(&samples, square).sqrt() / mean,
-        bias: mean_of(&samples, |s| y(s.found) - y(s.expected)) / mean,
-        median: percentile(0.5),
-        p95: percentile(0.95),
-        noise: mean_of(&samples, |s| f64::from(s.error).powi(2)).sqrt() / mean,
-    }
 }
 
 /// The mean over the bands.
@@ -318,9 +265,6 @@ mod tests {
         assert!((m.rmse.value - 0.005f64.sqrt() / 1.5).abs() < 1e-6, "{m:?}");
         assert!((m.median.value - 0.1).abs() < 1e-6 && m.noise == 0.0, "{m:?}");
         assert!((m.rel_mse - 0.5 * 0.01 / (1.0 + 0.015f64.powi(2))).abs() < 1e-6, "{m:?}");
-        let values = |f: fn(&Sample) -> Vec3| samples.iter().map(f).collect::<Vec<_>>();
-        let s = score(&values(|s| s.found), &values(|s| s.expected), &[0.0; 3], &[1.0, 1.0, 2.0]);
-        assert!((s.rmse - m.rmse.value).abs() < 1e-12 && (s.mean - m.mean).abs() < 1e-12, "{s:?}");
     }
 
     #[test]

@@ -225,7 +225,7 @@ impl Baked {
             leave_out(&mut stage["counters"], &["stored_unwraps", "bytes"]);
         }
         // Rays that this bake traced.
-        let traced = ["primary_photons", "direct_photons", "continuous_rays", "discrete_rays"];
+        let traced = ["primary_photons", "arrived_photons", "continuous_rays", "discrete_rays"];
         leave_out(&mut report["counters"], &traced);
         if let Some(table) = report["table1"].as_object_mut() {
             table.retain(|name, _| {

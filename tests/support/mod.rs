@@ -8,7 +8,7 @@ use std::path::PathBuf;
 
 use glam::{DAffine3, DVec3, Vec2, Vec3};
 use luxel::settings::{Preset, Settings, value::Texels};
-pub use luxel::verify::{Score, score};
+use luxel::verify::{Sample, measure};
 use luxel::{Lit, bake_scene};
 use luxel_scene::{Scene, Silent};
 use luxel_transport::{
@@ -19,6 +19,56 @@ use luxel_transport::{
     sampling::{mix, unit},
     validity,
 };
+
+/// The error of some values against others, the reference's noise left in. Shares of the mean.
+#[derive(Clone, Copy, Debug)]
+pub struct Score {
+    pub samples: usize,
+    /// Area-weighted mean of the reference, band mean [lux].
+    pub mean: f64,
+    pub rmse: f64,
+    pub bias: f64,
+    /// Of the relative error.
+    pub median: f64,
+    pub p95: f64,
+    /// Root mean square of the reference's standard error.
+    pub noise: f64,
+}
+
+impl std::fmt::Display for Score {
+    fn fmt(&self, f: &mut std::fmt::Formatter) -> std::fmt::Result {
+        let [rmse, bias, median, p95, noise] =
+            [self.rmse, self.bias, self.median, self.p95, self.noise].map(|share| 100.0 * share);
+        write!(
+            f,
+            "mean E {:.4}, RMSE {rmse:.2} %, bias {bias:+.2} %, median {median:.2} %, p95 {p95:.1} %, \
+             reference noise {noise:.2} %",
+            self.mean
+        )
+    }
+}
+
+/// Compares values with a reference; `noise` are the reference's standard errors, `weights` areas.
+pub fn score(values: &[Vec3], truth: &[Vec3], noise: &[f32], weights: &[f64]) -> Score {
+    // What no band is said to be uncertain by is not taken off.
+    let sample = |i: usize| Sample {
+        found: values[i],
+        expected: truth[i],
+        band_error: Vec3::ZERO,
+        error: noise[i],
+        weight: weights[i],
+    };
+    let m = measure(&(0..values.len()).map(sample).collect::<Vec<_>>());
+    Score {
+        samples: m.samples,
+        mean: m.mean,
+        rmse: m.rmse.value,
+        bias: m.bias.value,
+        median: m.median.value,
+        p95: m.p95.value,
+        noise: m.noise,
+    }
+}
 
 /// The preset `medium` on one atlas of 512².
 pub fn medium_512() -> Settings {

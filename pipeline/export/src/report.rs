@@ -45,7 +45,7 @@ pub struct Report {
     /// Stages in the order in which they run.
     pub stages: Vec<Stage>,
     /// Counters of the scene and of what this bake itself computed: `triangles`, `texels`, `buried_texels`, `charts`,
-    /// `surfels`, `primary_photons`, `direct_photons`, `continuous_rays`, `discrete_rays`. What reused stages counted
+    /// `surfels`, `primary_photons`, `arrived_photons`, `continuous_rays`, `discrete_rays`. What reused stages counted
     /// when they ran is in `stages`.
     pub counters: BTreeMap<String, u64>,
     /// The paper's Table 1 for this scene.
@@ -155,7 +155,7 @@ pub struct Table1 {
     pub voxel_directions: u64,
     /// "Primary photons" shot from the lamps; 0 where direct light came without photons.
     pub primary_photons: u64,
-    /// "Direct photons": samples of direct light.
+    /// "Direct photons": those from each primary one; 0 where there are none.
     pub direct_photons: u64,
     /// "Continuous Rays": rays traced against triangles.
     pub continuous_rays: u64,

@@ -74,6 +74,8 @@ pub struct Estimate {
     /// Standard errors of the band means of the two parts.
     pub direct_error: f32,
     pub indirect_error: f32,
+    /// Continuous rays spent: those of the walks, and those of next events.
+    pub rays: u64,
 }
 
 /// The path tracer of a scene.
@@ -138,17 +140,19 @@ impl<'a> Reference<'a> {
             let light = self.walk(receiver, &mut noise, &mut scratch);
             sum.direct += light.direct;
             sum.indirect += light.indirect;
+            sum.rays += light.rays;
         }
         let scale = 1.0 / f64::from(length);
-        Light { direct: sum.direct * scale, indirect: sum.indirect * scale }
+        Light { direct: sum.direct * scale, indirect: sum.indirect * scale, ..sum }
     }
 }
 
-/// Irradiance [lux] in its two parts.
+/// Irradiance [lux] in its two parts, and the rays that it took.
 #[derive(Clone, Copy, Debug, Default)]
 struct Light {
     direct: DVec3,
     indirect: DVec3,
+    rays: u64,
 }
 
 impl Estimate {
@@ -164,6 +168,7 @@ impl Estimate {
             band_error: total.band_error.as_vec3(),
             direct_error: direct.error as f32,
             indirect_error: indirect.error as f32,
+            rays: means.iter().map(|m| m.rays).sum(),
         }
     }
 }

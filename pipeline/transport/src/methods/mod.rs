@@ -37,7 +37,7 @@ pub struct Light {
     pub indirect: Rgb,
     /// Estimated standard error of the band mean of both together [lux]; none where the method states none.
     pub error: Option<f32>,
-    /// Continuous rays spent, where the method counts them.
+    /// Continuous rays spent on this receiver.
     pub rays: u32,
 }
 
@@ -54,6 +54,12 @@ pub trait Method: Sync {
     /// The light at every receiver, in their order. Reports one unit of progress per receiver of a stage that the caller
     /// has begun.
     fn light(&self, receivers: &[Receiver], progress: &dyn Progress) -> Result<Vec<Light>, Cancelled>;
+
+    /// The same with so many random draws for every receiver (walks, passes of sample voxels), whatever number the method
+    /// was made for. Where nothing is drawn for a receiver, their number changes nothing.
+    fn drawn(&self, receivers: &[Receiver], _draws: u32, progress: &dyn Progress) -> Result<Vec<Light>, Cancelled> {
+        self.light(receivers, progress)
+    }
 }
 
 #[cfg(test)]

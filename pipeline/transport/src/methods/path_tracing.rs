@@ -18,19 +18,24 @@ impl<'a> PathTracing<'a> {
         Self { tracer, paths }
     }
 
-    fn at(&self, receiver: &Receiver) -> Light {
-        let estimate = self.tracer.irradiance(receiver, self.paths);
+    fn at(&self, receiver: &Receiver, paths: u32) -> Light {
+        let estimate = self.tracer.irradiance(receiver, paths);
         // One walk alone knows nothing about its error.
         let error = Some(estimate.standard_error).filter(|error| error.is_finite());
-        Light { direct: estimate.direct, indirect: estimate.indirect, error, rays: 0 }
+        let rays = u32::try_from(estimate.rays).unwrap_or(u32::MAX);
+        Light { direct: estimate.direct, indirect: estimate.indirect, error, rays }
     }
 }
 
 impl Method for PathTracing<'_> {
     fn light(&self, receivers: &[Receiver], progress: &dyn Progress) -> Result<Vec<Light>, Cancelled> {
+        self.drawn(receivers, self.paths, progress)
+    }
+
+    fn drawn(&self, receivers: &[Receiver], paths: u32, progress: &dyn Progress) -> Result<Vec<Light>, Cancelled> {
         let one = |receiver| {
             progress.check()?;
-            let light = self.at(receiver);
+            let light = self.at(receiver, paths);
             progress.advance(1);
             Ok(light)
         };

@@ -42,4 +42,10 @@ impl Method for RandomVoxels<'_> {
         let tallies = self.samples.tallies(receivers, progress)?;
         self.finish(receivers, &tallies, progress)
     }
+
+    fn drawn(&self, receivers: &[Receiver], passes: u32, progress: &dyn Progress) -> Result<Vec<Light>, Cancelled> {
+        let mut tallies = vec![Tally::default(); receivers.len()];
+        self.samples.add(receivers, &mut tallies, passes, progress)?;
+        self.finish(receivers, &tallies, progress)
+    }
 }

@@ -59,7 +59,7 @@ impl Reference<'_> {
         let longest = if self.options.roulette { u32::MAX } else { LONGEST };
         let last = self.options.bounces.map_or(longest, |bounces| bounces.min(longest));
         for depth in 0.. {
-            let (straight, sky, next) = self.vertex(&vertex, depth, noise, scratch);
+            let (straight, sky, next) = self.vertex(&vertex, depth, noise, scratch, &mut light.rays);
             if depth == 0 {
                 light.direct += straight;
                 light.indirect += sky;
@@ -85,19 +85,21 @@ impl Reference<'_> {
         light
     }
 
-    /// Irradiance at a vertex straight from lamps and emitters, and from the sky [lux]; and a surface to go on from.
+    /// Irradiance at a vertex straight from lamps and emitters, and from the sky [lux]; and a surface to go on from. Counts
+    /// the rays.
     fn vertex(
         &self,
         vertex: &Vertex,
         depth: u32,
         noise: &mut Noise,
         scratch: &mut Vec<f64>,
+        rays: &mut u64,
     ) -> (DVec3, DVec3, Option<Next>) {
         let geometry = self.rays.geometry;
-        let mut straight = self.lamplight(vertex, depth, noise, scratch);
-        let mut from_sky = self.skylight(vertex, depth, noise);
+        let mut straight = self.lamplight(vertex, depth, noise, scratch, rays);
+        let mut from_sky = self.skylight(vertex, depth, noise, rays);
         let sums = self.emitters.weigh(vertex, scratch);
-        straight += self.emitted(vertex, sums, depth, noise);
+        straight += self.emitted(vertex, sums, depth, noise, rays);
 
         let [x, y] = noise.pair(depth, Use::Direction);
         let local = sampling::cosine_hemisphere(Vec2::new(x as f32, y as f32));
@@ -109,6 +111,7 @@ impl Reference<'_> {
         let density = cosine * FRAC_1_PI;
         let mut next: Option<Next> = None;
         let origin = leave(vertex.position, vertex.normal, direction);
+        *rays += 1;
         let rest = self.rays.walk(origin, direction, f32::INFINITY, 0.0, |hit, through| {
             let surface = geometry.surface(hit.triangle, hit.u, hit.v, 0.0);
             if hit.back && !geometry.material(hit.triangle).double_sided {
@@ -147,7 +150,7 @@ impl Reference<'_> {
     }
 
     /// Next event: a point of an emitter.
-    fn emitted(&self, vertex: &Vertex, sums: &[f64], depth: u32, noise: &mut Noise) -> DVec3 {
+    fn emitted(&self, vertex: &Vertex, sums: &[f64], depth: u32, noise: &mut Noise, rays: &mut u64) -> DVec3 {
         if !self.options.next_event {
             return DVec3::ZERO;
         }
@@ -157,13 +160,14 @@ impl Reference<'_> {
         if cosine <= 0.0 || target.density <= 0.0 || target.radiance == DVec3::ZERO {
             return DVec3::ZERO;
         }
+        *rays += 1;
         let pass = self.rays.between((vertex.position, vertex.normal), (target.position, target.normal));
         let share = heuristic(target.density, cosine * FRAC_1_PI) * cosine / target.density;
         target.radiance * pass.as_dvec3() * share
     }
 
     /// Next event: a direction of an image sky.
-    fn skylight(&self, vertex: &Vertex, depth: u32, noise: &mut Noise) -> DVec3 {
+    fn skylight(&self, vertex: &Vertex, depth: u32, noise: &mut Noise, rays: &mut u64) -> DVec3 {
         let Some(map) = self.sky.as_ref().filter(|_| self.options.next_event) else { return DVec3::ZERO };
         let Some((direction, density)) = map.sample(noise.pair(depth, Use::Sky)) else { return DVec3::ZERO };
         let cosine = vertex.cosine(direction);
@@ -172,16 +176,24 @@ impl Reference<'_> {
         }
         let radiance = self.rays.geometry.scene.sky.radiance(direction).max(Rgb::ZERO);
         let origin = leave(vertex.position, vertex.normal, direction);
+        *rays += 1;
         let pass = self.rays.transmittance(origin, direction, f32::INFINITY);
         (pass * radiance).as_dvec3() * (heuristic(density, cosine * FRAC_1_PI) * cosine / density)
     }
 
     /// Next events: all lamps where there are few, else one.
-    fn lamplight(&self, vertex: &Vertex, depth: u32, noise: &mut Noise, scratch: &mut Vec<f64>) -> DVec3 {
+    fn lamplight(
+        &self,
+        vertex: &Vertex,
+        depth: u32,
+        noise: &mut Noise,
+        scratch: &mut Vec<f64>,
+        rays: &mut u64,
+    ) -> DVec3 {
         if self.lamps.len() <= FEW {
             let sample = |(i, lamp): (usize, &super::Lamp)| {
                 let shine = lamp.sample(vertex, noise.pair(depth, Use::Lamp(i as u32)));
-                shine.map_or(DVec3::ZERO, |shine| self.arriving(vertex, &shine))
+                shine.map_or(DVec3::ZERO, |shine| self.arriving(vertex, &shine, rays))
             };
             return self.lamps.iter().enumerate().map(sample).sum();
         }
@@ -194,12 +206,13 @@ impl Reference<'_> {
         let [x, y] = noise.pair(depth, Use::Lamp(0));
         let Some((at, x)) = pick(scratch, x) else { return DVec3::ZERO };
         let share = sum / weight(scratch, at);
-        self.lamps[at].sample(vertex, [x, y]).map_or(DVec3::ZERO, |shine| self.arriving(vertex, &shine) * share)
+        self.lamps[at].sample(vertex, [x, y]).map_or(DVec3::ZERO, |shine| self.arriving(vertex, &shine, rays) * share)
     }
 
     /// What of a lamp's light is not held up on its way. The ray ends a little before the lamp, which may sit on a
     /// surface.
-    fn arriving(&self, vertex: &Vertex, shine: &Shine) -> DVec3 {
+    fn arriving(&self, vertex: &Vertex, shine: &Shine, rays: &mut u64) -> DVec3 {
+        *rays += 1;
         let origin = leave(vertex.position, vertex.normal, shine.direction);
         let pass = if shine.distance.is_finite() {
             let step = vertex.position + shine.direction * shine.distance - origin;

@@ -40,6 +40,20 @@ fn mean(v: Rgb) -> f32 {
     v.element_sum() / 3.0
 }
 
+/// Above a plane a walk is one ray up, and another to each lamp.
+#[test]
+fn rays_are_counted() {
+    for lamps in 0..3u64 {
+        let mut b = floor("plane", 0.5);
+        b.scene_mut().sky = Sky::Constant(Vec3::ONE);
+        for lamp in 0..lamps {
+            let kind = LightKind::Point { position: DVec3::Y * (1.0 + lamp as f64), range: None, radius: 0.0 };
+            b.light("lamp", kind, Vec3::ONE);
+        }
+        assert_eq!(at_origin(&b.build(), Options::default(), 100).rays, 100 * (1 + lamps));
+    }
+}
+
 #[test]
 fn a_furnace_has_the_irradiance_of_its_geometric_series() {
     for (i, albedo) in [0.0f32, 0.5, 0.8].into_iter().enumerate() {

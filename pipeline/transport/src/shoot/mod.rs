@@ -26,7 +26,7 @@ pub struct Shot {
     /// Points on the lights from which photons started.
     pub primary_photons: u64,
     /// Photons that arrived on a surfel.
-    pub direct_photons: u64,
+    pub arrived_photons: u64,
     /// Rays traced.
     pub rays: u64,
     pub ledger: Flux,

@@ -71,7 +71,7 @@ pub fn photons(
             })
             .collect();
         for (deposits, flux, traced) in traced {
-            shot.direct_photons += deposits.len() as u64;
+            shot.arrived_photons += deposits.len() as u64;
             shot.rays += traced;
             shot.ledger.add(&flux);
             deposits.iter().for_each(|&(surfel, flux)| sums[surfel as usize] += flux);

@@ -114,7 +114,7 @@ fn photons_bring_the_energy_of_the_lights_and_the_exact_irradiance() {
         assert_eq!(flux.lost, DVec3::ZERO, "{name}");
         assert_eq!(photons.rays, photons.primary_photons * 64, "{name}");
         // Poisson statistics of independent photons bound the error of stratified ones.
-        let count = photons.direct_photons as f64 / surfels.list.len() as f64;
+        let count = photons.arrived_photons as f64 / surfels.list.len() as f64;
         let mean = photons.irradiance.iter().map(|e| f64::from(e.x)).sum::<f64>() / surfels.list.len() as f64;
         for (i, (p, e)) in photons.irradiance.iter().zip(&exact).enumerate() {
             let expected = f64::from(e.x) / mean;
@@ -158,7 +158,7 @@ fn backs_absorb_and_walls_shadow() {
     // Between panel and floor, front down: photons meet its back.
     b.quad("board", Vec3::new(-2.0, 0.5, -2.0), Vec3::X * 4.0, Vec3::Z * 4.0, grey);
     let (photons, exact, _, power) = run(&b.build(), 4, PhotonSettings { primary: 500, directions: 16 });
-    assert_eq!(photons.direct_photons, 0);
+    assert_eq!(photons.arrived_photons, 0);
     assert!(photons.ledger.absorbed.x > 0.8 * power.x);
     assert!(exact.irradiance.iter().all(|e| *e == Rgb::ZERO), "{:?}", exact.irradiance);
 }
