@@ -5,12 +5,13 @@
 //! A group that came to rest after fewer bounces than another stays where it was.
 
 use glam::DVec3;
-use luxel_atlas::Atlas;
+use luxel_atlas::{Atlas, Texel};
 use luxel_export::report::{EnergyStage, Warning};
 use luxel_scene::Scene;
 use luxel_transport::{
     Rgb,
     energy::{Balance, Gone},
+    gather::surfel_index::SurfelIndex,
     geometry::Geometry,
     ledger::{Stage as Sweep, flux},
     surfel::{Solution, Surfels},
@@ -18,6 +19,7 @@ use luxel_transport::{
 use serde::{Deserialize, Serialize};
 
 use super::light::Parts;
+use super::receivers::Side;
 
 /// Largest share of the emitted light that may be missing or too much.
 pub const LIMIT: f64 = 0.01;
@@ -31,12 +33,20 @@ pub struct Flows {
     /// Arrived at the surfels that texels lie on, and the part that they absorb.
     received: [f64; 3],
     kept: [f64; 3],
+    /// The part of what is received where texels' own points are not free, so that they hold the light of others.
+    hidden: [f64; 3],
 }
 
 impl Flows {
     /// Notes what arrives where texels are. Which surfaces have any is no matter of the light at surfels, so this is done
     /// anew for every gather. `area` is scene units squared over those of the frame.
-    pub fn receive(&mut self, geometry: &Geometry, surfels: &Surfels, solution: &Solution, area: f64) {
+    pub fn receive(
+        &mut self,
+        geometry: &Geometry,
+        (surfels, solution): (&Surfels, &Solution),
+        front: &Side,
+        area: f64,
+    ) {
         let comparable = comparable(geometry.scene);
         let here = |i: usize| {
             let surfel = &surfels.list[i];
@@ -45,6 +55,17 @@ impl Flows {
         let light = |i: usize| if here(i) { solution.direct[i] + solution.indirect[i] } else { Rgb::ZERO };
         self.received = (flux(surfels, light) * area).to_array();
         self.kept = (flux(surfels, |i| (Rgb::ONE - surfels.list[i].albedo()) * light(i)) * area).to_array();
+        let index = SurfelIndex::new(surfels);
+        let mut hidden = DVec3::ZERO;
+        for (i, point) in front.displaced() {
+            let texel = front.texel(i);
+            if comparable[front.chart(texel).instance as usize]
+                && let Some(surfel) = index.find(point.position, point.normal)
+            {
+                hidden += solution.total(surfel).as_dvec3() * area_of(texel);
+            }
+        }
+        self.hidden = hidden.to_array();
     }
 
     pub fn scaled(&self, factor: [f64; 3]) -> Self {
@@ -54,6 +75,7 @@ impl Flows {
             escaped: scaled(self.escaped),
             received: scaled(self.received),
             kept: scaled(self.kept),
+            hidden: scaled(self.hidden),
         }
     }
 
@@ -63,6 +85,7 @@ impl Flows {
             escaped: sum(self.escaped, other.escaped),
             received: sum(self.received, other.received),
             kept: sum(self.kept, other.kept),
+            hidden: sum(self.hidden, other.hidden),
         }
     }
 
@@ -143,23 +166,27 @@ fn comparable(scene: &Scene) -> Vec<bool> {
     scene.instances.iter().map(is).collect()
 }
 
-/// Flux through the texels of the surfaces that [`Books::receive`] looks at [lm]. Of texels that something else partly
-/// covers those count whose points are free, with all of their area: the midpoint rule. So the `moved` ones do not, by
+/// World area that a texel stands for [squared scene units].
+fn area_of(texel: &Texel) -> f64 {
+    f64::from(texel.footprint()) * f64::from(texel.footprint()) * f64::from(texel.coverage())
+}
+
+/// Flux through the texels of the surfaces that [`Flows::receive`] looks at [lm]. Of texels that something else partly
+/// covers those count whose points are free, with all of their area: the midpoint rule. So the `displaced` ones do not, by
 /// rising index.
-pub fn through_texels(scene: &Scene, atlas: &Atlas, light: &Parts, moved: &[usize]) -> [f64; 3] {
+pub fn through_texels(scene: &Scene, atlas: &Atlas, light: &Parts, displaced: &[usize]) -> [f64; 3] {
     let comparable = comparable(scene);
     let mut sum = DVec3::ZERO;
     for (i, texel) in atlas.texels.iter().enumerate() {
-        let is_free = !light.buried[i] && moved.binary_search(&i).is_err();
-        if is_free && comparable[atlas.chart(texel).instance as usize] {
-            let area = f64::from(texel.footprint()) * f64::from(texel.footprint()) * f64::from(texel.coverage());
-            sum += light.total(i).as_dvec3() * area;
+        if displaced.binary_search(&i).is_err() && comparable[atlas.chart(texel).instance as usize] {
+            sum += light.total(i).as_dvec3() * area_of(texel);
         }
     }
     sum.to_array()
 }
 
-/// Books the lightmap: what texels hold in the place of what surfels have. What is absorbed, and what escapes after it
+/// Books the lightmap: what texels hold in the place of what surfels have, who keep theirs where no texel is free. What is
+/// absorbed, and what escapes after it
 /// was reflected, changes in proportion; where some surfaces are not in the lightmap, those that are.
 pub fn gathered(stages: &mut Vec<EnergyStage>, flows: &Flows, through: [f64; 3]) {
     let Some(last) = stages.last() else { return };
@@ -167,7 +194,7 @@ pub fn gathered(stages: &mut Vec<EnergyStage>, flows: &Flows, through: [f64; 3])
     let open = flows.open();
     for b in 0..3 {
         let kept = if flows.received[b] > 0.0 { flows.kept[b] / flows.received[b] } else { 0.0 };
-        let change = through[b] - flows.received[b];
+        let change = through[b] + flows.hidden[b] - flows.received[b];
         stage.absorbed[b] += kept * change;
         stage.escaped[b] += (1.0 - kept) * open[b] * change;
     }
@@ -234,16 +261,24 @@ fn rank(name: &str) -> u64 {
     }
 }
 
-/// The stage after which most is amiss beyond twice the standard error of its estimates, and by what share.
+/// The stages whose light is in the lightmap: a refresh gathers all indirect light anew, so what bounces lost or made is
+/// seen after it, if it is still there.
+fn lasting(stages: &[EnergyStage]) -> impl Iterator<Item = &EnergyStage> {
+    let is_refreshed = stages.iter().any(|stage| stage.name == "refresh");
+    let is_replaced = move |stage: &EnergyStage| is_refreshed && (1..rank("refresh")).contains(&rank(&stage.name));
+    stages.iter().filter(move |stage| !is_replaced(stage))
+}
+
+/// The lasting stage after which most is amiss beyond twice the standard error of its estimates, and by what share.
 pub fn worst(stages: &[EnergyStage]) -> Option<(&EnergyStage, f64)> {
-    let sure = stages.iter().map(|stage| (stage, (stage.share - 2.0 * stage.share_error).max(0.0)));
+    let sure = lasting(stages).map(|stage| (stage, (stage.share - 2.0 * stage.share_error).max(0.0)));
     sure.max_by(|(_, a), (_, b)| a.total_cmp(b))
 }
 
-/// What a person should know of books that do not balance: the first stage that is surely amiss, and the table.
+/// What a person should know of books that do not balance: the first lasting stage that is surely amiss, and the table.
 pub fn warning(stages: &[EnergyStage]) -> Option<Warning> {
     let is_amiss = |stage: &&EnergyStage| stage.share - 2.0 * stage.share_error > LIMIT;
-    let stage = stages.iter().find(is_amiss)?;
+    let stage = lasting(stages).find(is_amiss)?;
     let lost = if stage.imbalance.iter().sum::<f64>() >= 0.0 { "is missing" } else { "is too much" };
     let message = format!(
         "after the stage {} {:.1} % of the light {lost} (standard error {:.1} %; {:.0} % may be): {}; stage by stage: {}",
@@ -319,6 +354,11 @@ mod tests {
         let noisy = EnergyStage { error: [0.1; 3], ..made[0].clone() }.closed();
         assert_eq!(warning(&[noisy]), None);
         assert_eq!(worst(&bad).map(|(stage, _)| stage.name.as_str()), Some("tail"));
+        // What a refresh has mended is in no lightmap; what was amiss from the start still is.
+        let mended = [bad.to_vec(), vec![stage("refresh", 1.0, 1.0, 0.0)]].concat();
+        assert_eq!((warning(&mended), worst(&mended).map(|(_, share)| share)), (None, Some(0.0)));
+        let lost = [stage("shoot", 1.0, 0.4, 0.5), stage("bounce 1", 1.0, 0.9, 0.0), stage("refresh", 1.0, 0.9, 0.0)];
+        assert!(warning(&lost).unwrap().message.starts_with("after the stage shoot 10.0 %"));
     }
 
     #[test]
@@ -342,7 +382,7 @@ mod tests {
         assert!((stages[1].share - 0.02).abs() < 1e-12, "{stages:?}");
         // An open one: half of what is reflected leaves.
         let mut stages = vec![stage("tail", 1.0, 0.2, 0.8)];
-        let open = Flows { sent: [2.0; 3], escaped: [1.0; 3], received: [1.0; 3], kept: [0.2; 3] };
+        let open = Flows { sent: [2.0; 3], escaped: [1.0; 3], received: [1.0; 3], kept: [0.2; 3], hidden: [0.0; 3] };
         gathered(&mut stages, &open, [1.1; 3]);
         assert!((stages[1].share - (0.02 + 0.04)).abs() < 1e-12, "{stages:?}");
     }

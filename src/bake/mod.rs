@@ -365,7 +365,7 @@ fn parts(
     let Baking { settings, plan, lighting, .. } = baking;
     let mut transport = Transport::default();
     let mut sum: Option<Parts> = None;
-    let mut moved = Vec::new();
+    let mut displaced = Vec::new();
     if plan.runs(Stage::Clear) && !lighting.groups.is_empty() {
         let key = &baking.keys.clear;
         let store = baking.store.map(|store| (store, key));
@@ -388,7 +388,7 @@ fn parts(
             }
         }
         journal.group = None;
-        moved.extend(receivers.sides[0].moved());
+        displaced.extend(receivers.sides[0].displaced().map(|(i, _)| i));
     }
     for stage in Stage::ALL.into_iter().filter(|stage| (Stage::Rays..=Stage::Gather).contains(stage)) {
         journal.left_out_unless_run(plan, stage);
@@ -396,7 +396,7 @@ fn parts(
     let parts = sum.unwrap_or_else(|| Parts::dark(atlas.texels.len(), plan.states_bound(settings)));
     // Where a texel holds the light of two sides, or a part of it, surfels have nothing to compare it with.
     if settings.double_sided == DoubleSided::Front && settings.only == Only::All {
-        transport.facts.gathered(energy::through_texels(tracer.geometry.scene, atlas, &parts, &moved));
+        transport.facts.gathered(energy::through_texels(tracer.geometry.scene, atlas, &parts, &displaced));
     }
     Ok((parts, transport.facts))
 }

@@ -103,13 +103,19 @@ impl<'a> Side<'a> {
         (0..self.len()).map(|at| self.some.as_ref().map_or(at, |some| some[at] as usize))
     }
 
-    fn texel(&self, at: usize) -> &'a Texel {
+    pub fn chart(&self, texel: &Texel) -> &Chart {
+        &self.charts[texel.chart as usize]
+    }
+
+    pub fn texel(&self, at: usize) -> &'a Texel {
         &self.texels[self.some.as_ref().map_or(at, |some| some[at] as usize)]
     }
 
-    /// The texels whose receivers are not at their points, by rising index.
-    pub fn moved(&self) -> impl Iterator<Item = usize> {
-        self.moved.iter().map(|(at, _)| *at)
+    /// The texels whose own points are not free, buried or moved, by rising index, with the receivers that they would be
+    /// there.
+    pub fn displaced(&self) -> impl Iterator<Item = (usize, Receiver)> {
+        let is_displaced = |at: &usize| self.buried[*at] || self.moved.binary_search_by_key(at, |(i, _)| *i).is_ok();
+        (0..self.len()).filter(is_displaced).map(|at| (at, self.original(at)))
     }
 
     pub fn receiver(&self, at: usize) -> Receiver {

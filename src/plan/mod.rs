@@ -78,8 +78,7 @@ impl Stage {
     /// stored light of an older version is then made anew instead of being taken for this one's.
     pub fn version(self) -> u32 {
         match self {
-            Self::Propagate => 6,
-            Self::Surfels => 5,
+            Self::Surfels | Self::Propagate => 6,
             Self::Unwrap | Self::Shoot | Self::Direct | Self::Refresh => 4,
             Self::Gather | Self::Finish | Self::Preview | Self::Export => 3,
             Self::Sky => 2,

@@ -99,7 +99,7 @@ impl Kind {
             Self::Clear => (b"Clr", 1),
             Self::Direct => (b"Dir", 1),
             Self::Sky => (b"Sky", 1),
-            Self::Gather => (b"Gth", 2),
+            Self::Gather => (b"Gth", 3),
             Self::Finish => (b"Fin", 3),
             Self::Reference => (b"Ref", 2),
             Self::Measurement => (b"Mea", 1),

@@ -11,7 +11,7 @@ use std::f64::consts::PI;
 use glam::{DVec3, Vec3};
 use luxel::Lit;
 use luxel::settings::{LightGroups, Only, Settings};
-use luxel_scene::{LightKind, Scene, build::Builder};
+use luxel_scene::{LightKind, Material, Scene, build::Builder};
 
 use crate::kit::*;
 use crate::support::*;
@@ -132,6 +132,38 @@ fn a_candle_beside_a_thousand_million_candles_keeps_its_room_dim() {
                 assert!((ratio - 1.0).abs() < 0.02, "room {k}: {ratio}");
             }
         }
+    }
+}
+
+#[test]
+fn a_sheet_of_light_just_below_the_ceiling() {
+    // Double-sided, 5 mm below a ceiling: half of the light is caught in a slit that is a fifth of a voxel high, where E is
+    // hundreds of times that of the room. The room must get what comes out of it and no more.
+    let (lo, hi) = (Vec3::ZERO, Vec3::new(2.0, 1.5, 2.0));
+    for gap in [0.005f32, 0.02] {
+        let mut b = Builder::new("sheet below the ceiling");
+        let wall = b.material(Material {
+            double_sided: true,
+            base_color: Vec3::splat(RHO as f32).extend(1.0),
+            ..Material::default()
+        });
+        let glow = b.material(Material {
+            double_sided: true,
+            base_color: Vec3::splat(0.8).extend(1.0),
+            emission: Vec3::splat(20.0),
+            ..Material::default()
+        });
+        b.cuboid("room", lo, hi, wall, true);
+        b.quad("sheet", Vec3::new(0.7, 1.5 - gap, 0.8), Vec3::X * 0.5, Vec3::Z * 0.4, glow);
+        let scene = b.build();
+        let lit = bake(&scene, &sized(96, 60_000));
+        assert_sound("sheet below the ceiling", &lit);
+        // Not where texels are wider than the slit is high.
+        let below = |i: usize| position(&scene, &lit, i).y < 1.4;
+        let s = score_texels(&scene, &lit, &some_texels(&lit, 200, below), 2048);
+        println!("sheet {} mm below the ceiling: {s}", 1000.0 * gap);
+        let noise = s.noise / (s.samples as f64).sqrt();
+        assert!(s.samples > 150 && s.bias.abs() < 0.01 + 3.0 * noise && s.rmse < 0.02f64.hypot(2.0 * s.noise), "{s:?}");
     }
 }
 

@@ -91,7 +91,9 @@ impl<'a> SurfelIndex<'a> {
                 best = (facing, Some(i));
             }
         }
-        best.1.map(|best| Surfels::owner(self.list, mates, best, point)).or_else(|| self.nearest(voxel, point, normal))
+        best.1
+            .map(|best| Surfels::owner(self.list, 1.0 / self.per_edge, mates, best, point))
+            .or_else(|| self.nearest(voxel, point, normal))
     }
 
     #[cold]

@@ -116,7 +116,7 @@ pub(super) fn receivers(geometry: &Geometry, surfels: &Surfels, number: usize, p
     for (i, (x, y)) in [(1.0, 0.4), (-0.4, 1.0), (-1.0, -0.4), (0.4, -1.0)].into_iter().enumerate() {
         let p = center + (axes.x_axis * x + axes.y_axis * y) * step;
         let voxel = ((p - grid.origin) / grid.edge).floor().as_ivec3();
-        let is_own = || Surfels::owner(&surfels.list, mates(surfels, number), number, p) == number;
+        let is_own = || Surfels::owner(&surfels.list, grid.edge, mates(surfels, number), number, p) == number;
         if voxel == surfel.voxel() && contains(corners, p) && is_own() {
             found[i + 1] = Some(at(p, i as u64 + 1));
         }

@@ -211,5 +211,5 @@ fn find_in(surfels: &Surfels, voxel: IVec3, point: Vec3, normal: Vec3) -> Option
         }
     }
     // Walls may part a surface of one direction into several surfels.
-    best.map(|b| Surfels::owner(list, mates, b.0, point) as u32)
+    best.map(|b| Surfels::owner(list, surfels.grid.edge, mates, b.0, point) as u32)
 }

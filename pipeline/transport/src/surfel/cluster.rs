@@ -115,10 +115,11 @@ impl Cluster {
 /// that it emits.
 pub fn surfels(geometry: &Geometry, grid: &Grid, fragments: &[Fragment], mut out: impl FnMut(Patch, Rgb)) {
     let Some(voxel) = fragments.first().map(|f| f.voxel) else { return };
-    let mut clusters = clustered(geometry, fragments, &[]);
-    let walls = walls::walls(voxel, &clusters);
-    if !walls.is_empty() {
-        clusters = clustered(geometry, &walls::divided(geometry, grid, &walls, fragments), &walls);
+    // Planes that lie one behind the other are walls of their own.
+    let walls = walls::walls(voxel, &clustered(geometry, fragments, &[], walls::AWAY));
+    let mut clusters = clustered(geometry, fragments, &walls, f64::INFINITY);
+    if walls.iter().any(|wall| clusters.iter().any(|c| wall.crosses(c.normal))) {
+        clusters = clustered(geometry, &walls::divided(geometry, grid, &walls, fragments), &walls, f64::INFINITY);
     }
     for (i, cluster) in clusters.iter().enumerate() {
         let emission = (cluster.emission / cluster.covered).as_vec3();
@@ -127,23 +128,24 @@ pub fn surfels(geometry: &Geometry, grid: &Grid, fragments: &[Fragment], mut out
     }
 }
 
-/// The clusters of fragments that lie on one side of every wall each.
-fn clustered(geometry: &Geometry, fragments: &[Fragment], walls: &[Wall]) -> Vec<Cluster> {
+/// The clusters of fragments that lie on one side of every wall each, and not farther from their plane than `depth`.
+fn clustered(geometry: &Geometry, fragments: &[Fragment], walls: &[Wall], depth: f64) -> Vec<Cluster> {
     let mut clusters: Vec<Cluster> = Vec::new();
     for f in fragments {
         let normal = geometry.triangles[f.triangle as usize].normal.as_dvec3();
         let sides = walls::sides(walls, f.centroid, normal);
-        put(&mut clusters, f, normal, false, sides);
+        put(&mut clusters, f, (normal, false), sides, depth);
         if geometry.material(f.triangle).double_sided {
-            put(&mut clusters, f, -normal, true, sides);
+            put(&mut clusters, f, (-normal, true), sides, depth);
         }
     }
     clusters.into_iter().filter_map(Cluster::finish).collect()
 }
 
-fn put(clusters: &mut Vec<Cluster>, f: &Fragment, normal: DVec3, back: bool, sides: u32) {
+fn put(clusters: &mut Vec<Cluster>, f: &Fragment, (normal, back): (DVec3, bool), sides: u32, depth: f64) {
     let cosine = |c: &Cluster| c.normal.dot(normal) / c.normal.length().max(f64::MIN_POSITIVE);
-    let matching = clusters.iter().position(|c| c.sides == sides && cosine(c) > COSINE);
+    let near = |c: &Cluster| depth.is_infinite() || normal.dot(f.centroid - c.centroid / c.covered).abs() <= depth;
+    let matching = clusters.iter().position(|c| c.sides == sides && cosine(c) > COSINE && near(c));
     let index = match matching {
         Some(i) => i,
         None if clusters.len() < MAX_PER_VOXEL => {

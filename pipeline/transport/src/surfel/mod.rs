@@ -164,20 +164,31 @@ impl Surfels {
                 (best, best_cosine) = (Some(i), cosine);
             }
         }
-        best.map(|best| Self::owner(&self.list, self.in_voxel(self.grid.voxel(position)), best, position))
+        best.map(|best| {
+            Self::owner(&self.list, self.grid.edge, self.in_voxel(self.grid.voxel(position)), best, position)
+        })
     }
 
     /// The voxel mate of a surfel, or the surfel itself, that a point of its plane belongs to: of those that look the same
-    /// way, the one that lies on the point's side of the other surfels of the voxel. `mates` are the surfels of the voxel.
-    pub fn owner(list: &[Surfel], mates: std::ops::Range<usize>, surfel: usize, point: Vec3) -> usize {
+    /// way, the one that lies on the point's side of the other surfels of the voxel. `mates` are the surfels of the voxel,
+    /// `edge` is its edge.
+    pub fn owner(list: &[Surfel], edge: f32, mates: std::ops::Range<usize>, surfel: usize, point: Vec3) -> usize {
         let normal = list[surfel].normal;
         if mates.len() < 2 || !mates.clone().any(|i| i != surfel && list[i].normal.dot(normal) > TWIN) {
             return surfel;
         }
-        let is_front = |wall: &Surfel, p: Vec3| wall.normal.dot(p - wall.centroid) > 0.0;
+        // As when the surfels were made: what runs across has two sides, what looks the other way is looked at or not.
+        let side = |wall: &Surfel, p: Vec3| {
+            let (cosine, height) = (wall.normal.dot(normal), wall.normal.dot(p - wall.centroid));
+            height > if cosine.abs() < walls::ACROSS as f32 { 0.0 } else { walls::AWAY as f32 * edge }
+        };
         let parts = |i: usize| {
-            let walls = mates.clone().filter(|&w| list[w].normal.dot(normal).abs() < walls::ACROSS as f32);
-            walls.filter(|&w| is_front(&list[w], point) != is_front(&list[w], list[i].centroid)).count()
+            let is_wall = |w: &Surfel| {
+                let cosine = w.normal.dot(normal);
+                cosine.abs() < walls::ACROSS as f32 || cosine < walls::FACING as f32
+            };
+            let parted = |w: &usize| side(&list[*w], point) != side(&list[*w], list[i].centroid);
+            mates.clone().filter(|&w| is_wall(&list[w])).filter(parted).count()
         };
         let far = |i: usize| list[i].centroid.distance_squared(point);
         let twins = mates.clone().filter(|&i| list[i].normal.dot(normal) > TWIN);

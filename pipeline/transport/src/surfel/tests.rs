@@ -301,3 +301,34 @@ fn a_wall_parts_the_floor_that_it_stands_on() {
     let area: f64 = floor.iter().map(|&i| f64::from(surfels.list[i].area)).sum();
     assert!((area / (geometry.frame.scale * geometry.frame.scale) - 1.0).abs() < 1e-4, "{area}");
 }
+
+#[test]
+fn what_hangs_just_below_a_ceiling_shares_no_surfel_with_it() {
+    // A double-sided panel a fifth of a voxel below a double-sided ceiling: four surfaces, two of which look up and two down.
+    let mut b = Builder::new("panel");
+    let both = |rho: f32| Material { double_sided: true, base_color: Vec4::splat(rho), ..Material::default() };
+    let (light, dark) = (b.material(both(0.75)), b.material(both(0.25)));
+    b.quad("ceiling", Vec3::new(0.0, 1.0, 0.0), Vec3::X, Vec3::Z, light);
+    b.quad("panel", Vec3::new(0.2, 0.98, 0.2), Vec3::X * 0.6, Vec3::Z * 0.6, dark);
+    let upright = b.build();
+    let geometry = Geometry::new(&upright);
+    let surfels = Surfels::new(&geometry, &side(10), &Silent).unwrap();
+    // Away from the panel's border, where it may fill too little of a voxel to part anything.
+    let places = (0..20).flat_map(|i| (0..20).map(move |j| (0.31 + 0.019 * f64::from(i), 0.31 + 0.019 * f64::from(j))));
+    for (x, z) in places {
+        for (y, rho) in [(1.0, 0.75), (0.98, 0.25)] {
+            for normal in [Vec3::Y, Vec3::NEG_Y] {
+                let point = geometry.frame.point(DVec3::new(x, y, z));
+                let own = surfels.list[surfels.find(point, normal).unwrap()].albedo().x;
+                assert!((own - rho).abs() < 1e-3, "({x}, {y}, {z}) {normal}: {own}, not {rho}");
+            }
+        }
+    }
+    // No area is lost or made: both sides of both.
+    for scene in [upright.clone(), transformed(upright, tilt())] {
+        let geometry = Geometry::new(&scene);
+        let surfels = Surfels::new(&geometry, &side(10), &Silent).unwrap();
+        let area = surfels.area() / (geometry.frame.scale * geometry.frame.scale);
+        assert!((area / (2.0 * 1.36) - 1.0).abs() < 1e-3, "{area}");
+    }
+}

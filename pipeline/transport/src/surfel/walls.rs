@@ -4,8 +4,12 @@
 //! light of the lit room, and the dark room would see it: 0.3–0.6 % of the light went through a wall of a tenth of a voxel.
 //! So each fragment is cut at the planes of the walls of its voxel, and only pieces of one side make a surfel.
 //!
-//! A wall is a cluster that is flat and fills most of its plane within the voxel. The plane counts beyond the wall, too:
+//! A wall that cuts is a cluster that is flat and fills most of its plane within the voxel. The plane counts beyond the wall, too:
 //! where a wall ends within a voxel, a floor has more surfels there than it needs.
+//!
+//! Nor do surfaces share a surfel that look the same way when one looks at the back of the other: a ceiling, and the lower
+//! face of a panel that hangs just below it. Between them lies a face that looks at the first one, and what is in front of
+//! that face is parted from what is not.
 
 use glam::{DVec3, IVec3};
 
@@ -28,38 +32,58 @@ pub const ACROSS: f64 = 0.9;
 const PIECE: f64 = 1e-4;
 
 /// Walls of a voxel, at most, in the order of its clusters.
-const MOST: usize = 8;
+const MOST: usize = 16;
+
+/// Cosine up to which a face looks the other way than a surface: within a degree, so that curved sheets part nothing.
+pub const FACING: f64 = -0.9998;
+
+/// Distance in front of a face, in voxel edges, from which on a surface looks at it: more than a flat cluster bends.
+pub const AWAY: f64 = 0.02;
 
 /// A plane that divides a voxel, in voxel units.
 #[derive(Clone, Copy)]
 pub struct Wall {
     pub point: DVec3,
     pub normal: DVec3,
+    /// It fills most of its plane.
+    fills: bool,
 }
 
 impl Wall {
-    /// The wall runs across a surface of this normal.
+    /// The wall runs across a surface of this normal, and cuts it.
     pub fn crosses(&self, normal: DVec3) -> bool {
-        self.normal.dot(normal).abs() < ACROSS
+        self.fills && self.normal.dot(normal).abs() < ACROSS
+    }
+
+    /// The wall looks the other way than a surface of this normal.
+    fn faces(&self, normal: DVec3) -> bool {
+        self.normal.dot(normal) < FACING
     }
 
     pub fn is_front(&self, point: DVec3) -> bool {
-        self.normal.dot(point - self.point) > 0.0
+        self.height(point) > 0.0
+    }
+
+    fn height(&self, point: DVec3) -> f64 {
+        self.normal.dot(point - self.point)
     }
 }
 
 /// The walls of a voxel by its clusters.
 pub fn walls(voxel: IVec3, clusters: &[Cluster]) -> Vec<Wall> {
-    let stands = |i: &usize| clusters[*i].is_flat() && fill::fraction(voxel, clusters, *i, &[]) >= FILLED;
-    let wall = |i: usize| Wall { point: clusters[i].centroid, normal: clusters[i].normal };
-    if clusters.len() < 2 { Vec::new() } else { (0..clusters.len()).filter(stands).map(wall).take(MOST).collect() }
+    let wall = |i: usize| {
+        let fills = fill::fraction(voxel, clusters, i, &[]) >= FILLED;
+        Wall { point: clusters[i].centroid, normal: clusters[i].normal, fills }
+    };
+    let flat = (0..clusters.len()).filter(|i| clusters[*i].is_flat());
+    if clusters.len() < 2 { Vec::new() } else { flat.map(wall).take(MOST).collect() }
 }
 
-/// The sides of all walls on which a point of a surface with this normal lies: a bit each, 0 for walls that do not cross
-/// the surface.
+/// The sides of all walls on which a point of a surface with this normal lies: a bit each, 0 for walls that neither cross
+/// the surface nor face it.
 pub fn sides(walls: &[Wall], point: DVec3, normal: DVec3) -> u32 {
-    let bit = |(i, w): (usize, &Wall)| u32::from(w.crosses(normal) && w.is_front(point)) << i;
-    walls.iter().enumerate().map(bit).sum()
+    let is_parted = |w: &Wall| w.crosses(normal) && w.is_front(point) || w.faces(normal) && w.height(point) > AWAY;
+    walls.iter().enumerate().map(|(i, w)| u32::from(is_parted(w)) << i).sum()
 }
 
 /// Fragments of a voxel, cut at its walls.
