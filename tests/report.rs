@@ -173,7 +173,7 @@ fn what_limits_the_error_is_what_is_scarce() {
     let order = ["--texels", "100", "--noise", "2%", "--paths", "2048", "--json", "--sweep", "voxels,directions"];
     let alone = ["--no-methods", "--no-together", "--no-table", "--no-maps"];
     for (voxels, directions, scarce, about) in [
-        ("2000", "1024", "voxels", "voxels along a side dominates"),
+        ("2000", "1024", "voxels", "voxel size dominates"),
         ("12500", "8", "directions", "directions of the first bounce dominates"),
     ] {
         let own = ["--voxels", voxels, "--directions", directions];

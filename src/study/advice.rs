@@ -30,10 +30,13 @@ impl Advice {
     /// In one sentence.
     pub fn sentence(&self) -> String {
         let [now, doubled] = [self.now, self.doubled].map(|e| 100.0 * e);
+        let (what, step) = match self.setting.as_str() {
+            "voxels" => ("voxel size", "halving it"),
+            "cut_error" | "node_spacing" => (self.about.as_str(), "halving it"),
+            _ => (self.about.as_str(), "doubling it"),
+        };
         format!(
-            "{} dominates ({:.0} % of the squared error): twice as much would bring the RMSE from {now:.2} % to \
-             {doubled:.2} %",
-            self.about,
+            "{what} dominates ({:.0} % of the squared error): {step} would bring the RMSE from {now:.2} % to {doubled:.2} %",
             100.0 * self.share
         )
     }
@@ -111,7 +114,7 @@ mod tests {
         assert_eq!(list[0].setting, "voxels");
         let truth = (steep.own(316.2).powi(2)) / steep.error(316.2).powi(2);
         assert!((list[0].share - truth).abs() < 0.05, "{:?}", list[0]);
-        assert!(verdict(&list).starts_with("voxels along a side dominates"), "{}", verdict(&list));
+        assert!(verdict(&list).starts_with("voxel size dominates"), "{}", verdict(&list));
         assert!(verdict(&[]).starts_with("no setting"));
     }
 }

@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 /// The law of a series.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Fit {
-    /// k; 0 where the error does not fall.
+    /// k.
     pub order: f64,
     /// e₀, the error that is left.
     pub floor: f64,
@@ -26,6 +26,9 @@ const FLOORS: usize = 1000;
 /// Largest order that is believed: above it two points near a floor decide.
 const STEEPEST: f64 = 4.0;
 
+/// Least order: below it the error stands still, or grows.
+const FLATTEST: f64 = 0.05;
+
 impl Fit {
     /// Fits pairs (x, e) with x > 0; none where they are too few or say nothing.
     pub fn of(points: &[(f64, f64)]) -> Option<Self> {
@@ -37,7 +40,7 @@ impl Fit {
         }
         let candidates = (0..=FLOORS).map(|i| least * i as f64 / FLOORS as f64);
         let fits = candidates.filter_map(|floor| Self::above(&points, floor));
-        fits.min_by(|a, b| a.misfit.total_cmp(&b.misfit))
+        fits.min_by(|a, b| a.misfit.total_cmp(&b.misfit)).filter(|fit| fit.order >= FLATTEST)
     }
 
     /// The line for a given floor. A point counts by how much of its error is above the floor: d log e = w d log √(e² − e₀²)
@@ -91,6 +94,7 @@ mod tests {
     #[test]
     fn what_does_not_fall_has_no_order() {
         assert_eq!(Fit::of(&[(1.0, 0.1), (2.0, 0.1), (4.0, 0.099)]), None);
+        assert_eq!(Fit::of(&[(1.0, 0.1), (2.0, 0.11), (4.0, 0.13), (8.0, 0.14)]), None);
         assert_eq!(Fit::of(&[(1.0, 0.1), (2.0, 0.05)]), None);
         assert_eq!(Fit::of(&[(0.0, 0.1), (0.0, 0.05), (0.0, 0.01)]), None);
     }

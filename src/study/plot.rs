@@ -16,8 +16,8 @@ struct Line {
     points: Vec<(f64, f64)>,
 }
 
-/// Colours that people with colour-blindness tell apart (Okabe & Ito 2008).
-const COLOURS: [RGBColor; 8] = [
+/// Colours that people with colour-blindness tell apart (Okabe & Ito 2008), and some more: one for each line.
+const COLOURS: [RGBColor; 11] = [
     RGBColor(0, 114, 178),
     RGBColor(213, 94, 0),
     RGBColor(0, 158, 115),
@@ -26,6 +26,9 @@ const COLOURS: [RGBColor; 8] = [
     RGBColor(86, 180, 233),
     RGBColor(90, 90, 90),
     RGBColor(160, 100, 40),
+    RGBColor(0, 0, 0),
+    RGBColor(110, 60, 160),
+    RGBColor(200, 190, 30),
 ];
 
 /// Error against processor time of every method and of all rungs together, with the Pareto front of all points: those
