@@ -91,8 +91,8 @@ fn the_lightmap_of_a_bake_is_shown_without_another_bake() {
 /// mean over all of them is known better by the root of their number.
 ///
 /// That holds whatever samples a pixel has. With `--aa 4` they are the same in all pictures. By default methods have 16
-/// where they find edges, not all at the same pixels: four samples of a pixel miss a surface's share of it by a tenth or
-/// so, of a radiance about the mean, and there are few such pixels, which adds 2.5 % of it at most. More samples also are
+/// where they find edges, not all at the same pixels. Four instead of 16 at all of them are 8 % (RMS) of what this picture
+/// reflects in the mean; methods disagree about few, so less than a third of that may come on top. More samples also are
 /// more points that err each on its own, which leaves no less than four fifths.
 #[test]
 fn methods_side_by_side_agree_within_the_noise_of_the_reference() {
