@@ -110,16 +110,16 @@ fn of_emitters_that_overlap_the_first_is_seen() {
     let from = |x: f32, width: f32| lambert(&[o + a * x, o + a * (x + width), o + a * (x + width) + c, o + a * x + c]);
     let whole = from(0.0, 1.0);
     // Radiance and place of panels along `a`, those of width below 0 looking away; and what arrives.
-    let cases: [(&[(f32, f32, f32)], f32); 5] = [
-        (&[(5.0, 0.0, 0.7), (5.0, 0.3, 0.7)], 5.0 * whole),
-        (&[(5.0, 0.0, 0.7), (2.0, 0.3, 0.7)], 5.0 * from(0.0, 0.7) + 2.0 * from(0.7, 0.3)),
-        (&[(1.0, 0.4, 0.2), (5.0, 0.0, 1.0)], 5.0 * (whole - from(0.4, 0.2)) + from(0.4, 0.2)),
-        (&[(5.0, 0.0, 1.0), (3.0, 0.0, 1.0), (4.0, 0.2, 0.5)], 5.0 * whole),
-        (&[(7.0, 1.0, -1.0), (5.0, 0.0, 1.0)], 5.0 * whole),
+    let cases = [
+        (vec![(5.0, 0.0, 0.7), (5.0, 0.3, 0.7)], 5.0 * whole),
+        (vec![(5.0, 0.0, 0.7), (2.0, 0.3, 0.7)], 5.0 * from(0.0, 0.7) + 2.0 * from(0.7, 0.3)),
+        (vec![(1.0, 0.4, 0.2), (5.0, 0.0, 1.0)], 5.0 * (whole - from(0.4, 0.2)) + from(0.4, 0.2)),
+        (vec![(5.0, 0.0, 1.0), (3.0, 0.0, 1.0), (4.0, 0.2, 0.5)], 5.0 * whole),
+        (vec![(7.0, 1.0, -1.0), (5.0, 0.0, 1.0)], 5.0 * whole),
     ];
     for (panels, expected) in cases {
         let mut b = floor("overlaps", 0.0);
-        for &(radiance, x, width) in panels {
+        for (radiance, x, width) in panels {
             let glow = b.emitter(Vec3::ZERO, Vec3::splat(radiance));
             b.quad("panel", o + a * x, a * width, c, glow);
         }
