@@ -88,13 +88,26 @@ fn the_lightmap_of_a_bake_is_shown_without_another_bake() {
 }
 
 /// All methods see the same picture within the noise that the reference states: its pixels' errors are independent, so the
-/// mean over all of them is known better by the root of their number. Every pixel has the same samples in all pictures: at
-/// the lamp's edge others would show another share of its radiance, which is hundreds of times that of the walls.
+/// mean over all of them is known better by the root of their number.
+///
+/// That holds whatever samples a pixel has. With `--aa 4` they are the same in all pictures. By default methods have 16
+/// where they find edges, not all at the same pixels. Four instead of 16 at all of them are 8 % (RMS) of what this picture
+/// reflects in the mean; methods disagree about few, so less than a third of that may come on top. More samples also are
+/// more points that err each on its own, which leaves no less than four fifths.
 #[test]
 fn methods_side_by_side_agree_within_the_noise_of_the_reference() {
+    let [four, usual] = [&["--aa", "4"][..], &[]].map(side_by_side);
+    for (name, few, many) in four.iter().zip(&usual).map(|(a, b)| (a.0, a.1, b.1)) {
+        println!("{name}: RMSE {few} of 4 samples, {many} by default");
+        assert!(many > 0.8 * few && many < few.hypot(0.025), "{name}: {few} {many}");
+    }
+}
+
+/// RMSE of methods that are not the reference, after a look at all that the comparison says.
+fn side_by_side(samples: &[&str]) -> [(&'static str, f64); 3] {
     let folder = folder(&["cornell.glb"]);
     let compare = ["--compare", "lookup,lightcuts,photons,paths", "--paths", "64", "--map-photons", "20000"];
-    let run = render(&[&["cornell.glb", "--aa", "4", "--json"], &compare[..]].concat(), folder.path()).ended(0);
+    let run = render(&[&["cornell.glb", "--json"], samples, &compare[..]].concat(), folder.path()).ended(0);
     let baked = folder.path().join("baked");
     assert_eq!(files(&baked).into_keys().collect::<Vec<_>>(), ["cornell.compare.png"]);
     assert!(!baked.join(".luxel").exists(), "a comparison takes nothing from a store and leaves nothing there");
@@ -109,7 +122,9 @@ fn methods_side_by_side_agree_within_the_noise_of_the_reference() {
     assert_eq!((number("paths", "rmse"), number("paths", "bias")), (0.0, 0.0));
     let noise = number("paths", "error");
     let pixels = (compared["width"].as_f64().unwrap() * compared["height"].as_f64().unwrap()).sqrt();
-    for name in ["lookup", "lightcuts", "photons"] {
+    let sheet = image::open(baked.join("cornell.compare.png")).unwrap();
+    assert!(sheet.width() > 4 * 48 && sheet.height() > 2 * 40);
+    ["lookup", "lightcuts", "photons"].map(|name| {
         assert_eq!((of(name)["draws"].is_null(), &of(name)["error"]), (name != "photons", &Value::Null));
         let (rmse, bias) = (number(name, "rmse"), number(name, "bias"));
         println!("{name}: RMSE {rmse}, bias {bias}, noise {noise}");
@@ -117,9 +132,8 @@ fn methods_side_by_side_agree_within_the_noise_of_the_reference() {
         // 3000 voxels add what they leave: 1 % of bias, 5 % about it.
         assert!(rmse > 0.9 * noise && rmse < (3.0f64.sqrt() * noise).hypot(0.05), "{name}: {rmse}, noise {noise}");
         assert!(bias.abs() < 4.0 * noise / pixels + 0.01, "{name}: {bias}, noise {noise}");
-    }
-    let sheet = image::open(baked.join("cornell.compare.png")).unwrap();
-    assert!(sheet.width() > 4 * 48 && sheet.height() > 2 * 40);
+        (name, rmse)
+    })
 }
 
 /// The error that a picture by paths states is that of the mean of a pixel's bands, which nothing but chance moves away

@@ -13,7 +13,8 @@
 //! ```
 //!
 //! *Shape* is all that rays meet: meshes, transforms, what casts, holes and veils. *Matter* is what surfaces reflect.
-//! Lights are those at unit power ([`super::groups`]), so a lamp's colour is in the key of `finish` alone. Every key
+//! Lights are those at unit power ([`super::groups`]), so a lamp's colour is in the key of `finish` alone; to those of a
+//! group belongs what may cover them. Every key
 //! also holds the version of its stage and of luxel; those of unwraps are the meshes' own.
 //!
 //! The structures of a scene are taken apart field by field here: a new field does not compile until it is decided who
@@ -27,6 +28,7 @@ use luxel_scene::{Alpha, Instance, Light, LightKind, Material, Mesh, Scene, Sky,
 use luxel_transport::lights::Source;
 use rayon::prelude::*;
 
+use super::covers::Covers;
 use super::digest::Digest;
 use super::groups::{Group, Lighting};
 use crate::plan::{Plan, Stage};
@@ -163,13 +165,14 @@ struct Parts<'a> {
     scene: &'a Scene,
     meshes: Vec<Key>,
     textures: Vec<Key>,
+    covers: Covers,
 }
 
 impl<'a> Parts<'a> {
     fn new(scene: &'a Scene) -> Self {
         let meshes = scene.meshes.par_iter().map(mesh).collect();
         let textures = scene.textures.par_iter().map(texture).collect();
-        Self { scene, meshes, textures }
+        Self { scene, meshes, textures, covers: Covers::new(scene) }
     }
 
     /// What texels are made of: what receives, with its size in the world, on pages as the settings have them.
@@ -276,10 +279,8 @@ impl<'a> Parts<'a> {
             digest = digest.vec3(*weight);
             match *source {
                 Source::Instance(i) => {
-                    let instance = &scene.instances[i as usize];
-                    let material = &scene.materials[scene.meshes[instance.mesh].material];
-                    digest = digest.text("surface").number(i.into()).vec3(material.emission);
-                    digest = self.reference(digest, material.emissive_texture.as_ref());
+                    let emission = self.material(i).emission;
+                    digest = self.shining(digest.text("surface"), i).vec3(emission);
                 }
                 Source::Light(i) => {
                     let Light { name: _, node: _, group: _, kind, intensity } = &scene.lights[i as usize];
@@ -287,7 +288,16 @@ impl<'a> Parts<'a> {
                 }
             }
         }
-        digest.done()
+        self.covers.of(group).fold(digest.text("covers"), |digest, i| self.shining(digest, i)).done()
+    }
+
+    fn material(&self, instance: u32) -> &Material {
+        &self.scene.materials[self.scene.meshes[self.scene.instances[instance as usize].mesh].material]
+    }
+
+    /// An instance that shines, without its strength.
+    fn shining(&self, digest: Digest, instance: u32) -> Digest {
+        self.reference(digest.number(instance.into()), self.material(instance).emissive_texture.as_ref())
     }
 
     /// What the sources of a group are called: the seeds of their photons, and of nothing else.
@@ -349,4 +359,34 @@ fn sky(sky: &Sky) -> Key {
         }
     }
     .done()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use luxel_scene::build::Builder;
+
+    /// A group's light depends on whether what covers it shines, not on how brightly, and not on what is elsewhere.
+    #[test]
+    fn what_covers_a_group_is_in_its_keys() {
+        let keys = |first: f32, at: f32| {
+            let mut b = Builder::new("panels");
+            let (one, other) = (b.emitter(Vec3::ZERO, Vec3::splat(first)), b.emitter(Vec3::ZERO, Vec3::ONE));
+            b.quad("first", Vec3::new(at, 0.0, 0.0), Vec3::X, Vec3::Y, one);
+            b.quad("second", Vec3::new(0.5, 0.5, 0.0), Vec3::X, Vec3::Y, other);
+            let mut scene = b.build();
+            let settings = Settings::default();
+            let lighting = Lighting::part(&mut scene, &settings);
+            let keys = Keys::new(&scene, &lighting, &settings, &Plan::new(&scene, &settings));
+            lighting.groups.iter().map(|g| g.name.clone()).zip(keys.groups).collect::<BTreeMap<_, _>>()
+        };
+        for (at, covers) in [(0.0, true), (1.5, true), (1.6, false)] {
+            let (bright, dim, dark) = (keys(8.0, at), keys(2.0, at), keys(0.0, at));
+            assert_eq!((bright.len(), dark.len()), (2, 1));
+            assert_eq!(bright, dim);
+            let pairs = [bright["second"], dark["second"]];
+            assert_eq!(pairs[0].direct != pairs[1].direct, covers, "at {at}");
+            assert_eq!(pairs[0].shoot != pairs[1].shoot, covers, "at {at}");
+        }
+    }
 }

@@ -4,6 +4,7 @@ pub(crate) mod artefact;
 mod atlas;
 mod baking;
 mod cause;
+mod covers;
 pub(crate) mod digest;
 mod direct;
 mod draft;

@@ -132,8 +132,9 @@ Examples:
   luxel render levels/ --out pictures/ --exposure 7             every scene below a folder, at one exposure
 
 --compare writes NAME.compare.png: every method's picture at one exposure, and below each its difference to the last one,
-or to --against, in false colour (red is brighter), with RMSE and bias in % of the mean radiance that surfaces reflect,
-wall-clock time of all that the method needs, and the rays that it traces for it. For that, nothing is taken from the store.
+or to --against, in false colour (red is brighter), with RMSE and bias, wall-clock time of all that the method needs, and
+the rays that it traces for it. For that, nothing is taken from the store. Differences are of what surfaces reflect, in % of
+its mean: what shines itself, and the sky behind, are in the pictures but no difference.
 
 Events of --json, one object per line, with their fields:
   started, progress, finished                          stages, as of luxel bake
@@ -147,7 +148,7 @@ Events of --json, one object per line, with their fields:
   interrupted  scene, scenes, failed                   the last event after Ctrl-C
   usage        error, causes                           the last event of a command line that could not be followed
 draws are those of a method that draws at random, or null; error is its estimated standard error, and as rmse, bias and
-p95 a share of the mean reflected radiance, or null; exposure in EV at ISO 100; reflected in cd/m².
+p95, which are of the reflected radiance, a share of its mean, or null; exposure in EV at ISO 100; reflected in cd/m².
 
 Exit codes: 0 done, 1 some scenes failed, 2 wrong usage, 130 interrupted.";
 

@@ -79,7 +79,8 @@ impl Stage {
     pub fn version(self) -> u32 {
         match self {
             Self::Surfels | Self::Propagate => 6,
-            Self::Unwrap | Self::Shoot | Self::Direct | Self::Refresh => 4,
+            Self::Shoot | Self::Direct => 5,
+            Self::Unwrap | Self::Refresh => 4,
             Self::Gather | Self::Finish | Self::Preview | Self::Export => 3,
             Self::Sky => 2,
             Self::Import | Self::Rays | Self::Cache | Self::Clear => 1,

@@ -155,6 +155,33 @@ fn glowing_faces_that_overlap() {
 }
 
 #[test]
+fn glowing_faces_that_overlap_in_part() {
+    // Every wall is two panels that overlap in their middle, or a panel and behind it a larger one that is seen about it.
+    // All have one name, so their light is one group's, and even.
+    for is_nested in [false, true] {
+        let (scene, exact) = furnace("glowing overlaps", 0.5, |b, wall| {
+            walls(b, wall, |b, o, a, c, material| {
+                let (first, later) = match is_nested {
+                    false => ([o, a * 0.6, c], [o + a * 0.2, a * 0.8, c]),
+                    true => ([o + a * 0.3 + c * 0.2, a * 0.4, c * 0.5], [o, a, c]),
+                };
+                let inner = b.quad("panel", first[0], first[1], first[2], material);
+                b.scene_mut().instances[inner].receives = !is_nested;
+                let outer = b.quad("panel", later[0], later[1], later[2], material);
+                b.scene_mut().instances[outer].receives = is_nested;
+            });
+        });
+        let lit = bake(&scene, &coarse());
+        assert_within(&format!("glowing overlaps, nested {is_nested}"), &scene, &lit, 0.005, |_| exact);
+        // The reference counts what overlaps once, too.
+        let texels = some_texels(&lit, 100, |_| true);
+        let s = score_texels(&scene, &lit, &texels, 1024);
+        println!("against the reference: {s}");
+        assert!(s.rmse <= 0.005 + 3.0 * s.noise && s.bias.abs() <= 0.005 + 3.0 * s.noise / 10.0, "{s:?}");
+    }
+}
+
+#[test]
 fn a_single_triangle() {
     let mut b = Builder::new("triangle");
     let white = b.matte(Vec3::splat(0.8));

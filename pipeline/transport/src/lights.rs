@@ -5,13 +5,13 @@
 //!   sun          E = E⊥ cos θ                E⊥ illuminance [lux]
 //!
 //! Emissive triangles are paired into convex planar quads where both shine alike, which halves the number of lights
-//! of a usual level. A textured emitter stays a triangle and carries a small table of mean radiances. Surfaces that
-//! do not cast, or are unlit, are absent from transport and do not emit either.
+//! of a usual level. A textured emitter stays a triangle and carries a small table of mean radiances. Of polygons that
+//! lie on each other only what rays meet shines. Surfaces that do not cast, or are unlit, are absent from transport and do
+//! not emit either.
 
 mod area;
 mod lamp;
-
-use std::collections::HashSet;
+mod overlap;
 
 use glam::Vec3;
 use luxel_scene::LightKind;
@@ -57,7 +57,12 @@ impl Emitters {
                 _ => lamps.extend(Lamp::new(light, intensity, &geometry.frame, source, identity)),
             }
         }
-        Self { areas: singled(area::area_lights(geometry)), lamps, suns, scale: geometry.frame.scale }
+        Self {
+            areas: overlap::uncovered(geometry, area::area_lights(geometry)),
+            lamps,
+            suns,
+            scale: geometry.frame.scale,
+        }
     }
 
     /// Only the lights of the sources that `keep` accepts. Their contributions add up to those of the whole.
@@ -90,21 +95,6 @@ impl Emitters {
         let areas = self.areas.iter().map(|l| l.power(self.scale));
         areas.chain(self.lamps.iter().map(|l| l.power(self.scale))).sum()
     }
-}
-
-/// Surfaces that are there twice shine once: of two polygons with equal corners and front, rays meet the first.
-fn singled(mut areas: Vec<AreaLight>) -> Vec<AreaLight> {
-    let place = |light: &AreaLight| {
-        let bits = |v: &Vec3| (*v + 0.0).to_array().map(f32::to_bits);
-        let mut corners: Vec<[u32; 3]> = light.corners().iter().map(bits).collect();
-        corners.sort_unstable();
-        // Backs of sheets shine too, whichever way they look.
-        let axis = light.normal.abs().max_position();
-        (corners, light.two_sided || light.normal[axis] > 0.0)
-    };
-    let mut seen = HashSet::with_capacity(areas.len());
-    areas.retain(|light| seen.insert(place(light)));
-    areas
 }
 
 /// Brighter than anything, and still far from the end of f32 when lights add up.
@@ -175,18 +165,5 @@ mod tests {
         assert_eq!(emitters.lamps.len(), 2);
         assert_ne!(emitters.lamps[0].identity, emitters.lamps[1].identity);
         assert_eq!(emitters.lamps[0].identity, name_hash("lamp"));
-    }
-
-    #[test]
-    fn a_panel_that_is_there_twice_shines_once() {
-        let mut b = Builder::new("doubles");
-        let shiny = b.emitter(Vec3::ZERO, Vec3::ONE);
-        b.quad("panel", Vec3::ZERO, Vec3::X, Vec3::Y, shiny);
-        b.quad("double", Vec3::ZERO, Vec3::X, Vec3::Y, shiny);
-        b.quad("back", Vec3::ZERO, Vec3::Y, Vec3::X, shiny);
-        let scene = b.build();
-        let emitters = Emitters::new(&Geometry::new(&scene));
-        let sources: Vec<Source> = emitters.areas.iter().map(|light| light.source).collect();
-        assert_eq!(sources, [Source::Instance(0), Source::Instance(2)]);
     }
 }

@@ -22,6 +22,7 @@
 mod emitters;
 mod lamps;
 mod noise;
+mod overlap;
 mod path;
 pub(crate) mod sky;
 

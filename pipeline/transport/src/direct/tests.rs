@@ -79,6 +79,30 @@ fn a_rectangle_over_a_plane_follows_lambert() {
     }
 }
 
+/// Two that overlap by half, one of them in front of a larger one: the light of the union.
+#[test]
+fn panels_that_overlap_shine_like_one() {
+    let from = |panels: &[([f32; 2], [f32; 2])]| {
+        let mut b = ground();
+        let shiny = b.emitter(Vec3::ZERO, Vec3::new(1.0, 2.0, 4.0));
+        panels.iter().for_each(|(x, z)| panel(&mut b, shiny, *x, *z, 2.0));
+        let places: Vec<_> = (0..200).map(|i| (r2(i, Vec2::ZERO) * 16.0 - 8.0).as_dvec2()).collect();
+        both(&b.build(), |g| places.iter().map(|p| floor(g, p.x, 0.0, p.y)).collect(), 64)
+    };
+    let whole = from(&[([-1.0, 2.0], [-1.5, 0.5])]);
+    for parts in [
+        [([-1.0, 1.0], [-1.5, 0.5]), ([0.0, 2.0], [-1.5, 0.5])],
+        [([0.25, 1.0], [-1.0, 0.125]), ([-1.0, 2.0], [-1.5, 0.5])],
+    ] {
+        let found = from(&parts);
+        for (one, other) in [(&whole.0, &found.0), (&whole.1, &found.1)] {
+            for (a, b) in one.iter().zip(other) {
+                assert!((*a - *b).abs().max_element() < 1e-3 * a.max_element(), "{a} {b}");
+            }
+        }
+    }
+}
+
 #[test]
 fn lamps_and_suns_follow_their_laws() {
     let spot = |radius| LightKind::Spot {

@@ -47,6 +47,14 @@ impl AreaLight {
         Self { radiance: self.radiance * weight, table: self.table.as_deref().map(weigh), ..self.clone() }
     }
 
+    /// A part of it, of three or four corners; `number` tells it from the others.
+    pub(super) fn part(&self, corners: &[Vec3], area: f32, number: u64) -> Self {
+        let mut slots = [corners[corners.len() - 1]; 4];
+        slots[..corners.len()].copy_from_slice(corners);
+        let identity = combine(self.identity, number);
+        Self { corners: slots, count: corners.len() as u8, area, identity, ..self.clone() }
+    }
+
     /// Luminous flux [lm] of all lit sides.
     pub fn power(&self, scale: f64) -> DVec3 {
         let sides = if self.two_sided { 2.0 } else { 1.0 };

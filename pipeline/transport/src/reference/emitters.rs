@@ -8,6 +8,7 @@ use glam::{DVec3, Vec3};
 
 use super::{
     noise::{pick, weight},
+    overlap::Overlaps,
     path::Vertex,
 };
 use crate::{Rgb, geometry::Geometry, rays::Hit};
@@ -25,6 +26,7 @@ pub(super) struct Emitters {
     triangles: Vec<(u32, u32, u32)>,
     /// Running sums of the cells' powers.
     powers: Vec<f64>,
+    overlaps: Overlaps,
 }
 
 /// A part of an emitting triangle.
@@ -69,6 +71,7 @@ impl Emitters {
             material.emissive_texture.is_none() && material.is_opaque()
         };
         let list: Vec<u32> = (0..geometry.triangles.len() as u32).filter(emitting).collect();
+        let overlaps = Overlaps::new(geometry, &list);
         let uneven = list.iter().filter(|&&i| !is_even(i)).count().max(1);
         let split = ((CELLS / uneven as f64).sqrt() as u32).clamp(1, MAX_SPLIT);
         let (mut cells, mut triangles) = (Vec::new(), Vec::with_capacity(list.len()));
@@ -83,7 +86,12 @@ impl Emitters {
             sum
         });
         let powers = powers.collect();
-        Self { cells, triangles, powers }
+        Self { cells, triangles, powers, overlaps }
+    }
+
+    /// What a ray along `direction` meets that hits a surface at `hit`.
+    pub fn met(&self, geometry: &Geometry, hit: &Hit, direction: Vec3) -> Hit {
+        self.overlaps.met(geometry, *hit, direction)
     }
 
     /// Running sums of the weights with which a vertex chooses among the cells. `scratch` may hold them.
@@ -100,7 +108,7 @@ impl Emitters {
         scratch
     }
 
-    /// A point that may shine on the vertex, by two numbers in [0, 1).
+    /// A point that may shine on the vertex and that no other emitter covers, by two numbers in [0, 1).
     pub fn sample(&self, geometry: &Geometry, vertex: &Vertex, sums: &[f64], [x, y]: [f64; 2]) -> Option<Target> {
         let (at, x) = pick(sums, x)?;
         let cell = &self.cells[at];
@@ -119,6 +127,10 @@ impl Emitters {
         let direction = step / squared.sqrt();
         let facing = -t.normal.dot(direction);
         if facing == 0.0 || (facing < 0.0 && !cell.double_sided) {
+            return None;
+        }
+        let hit = Hit { distance: squared.sqrt(), triangle: cell.triangle, u, v, back: facing < 0.0 };
+        if self.met(geometry, &hit, direction).triangle != cell.triangle {
             return None;
         }
         let surface = geometry.surface(cell.triangle, u, v, 0.0);

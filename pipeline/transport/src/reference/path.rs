@@ -113,6 +113,7 @@ impl Reference<'_> {
         let origin = leave(vertex.position, vertex.normal, direction);
         *rays += 1;
         let rest = self.rays.walk(origin, direction, f32::INFINITY, 0.0, |hit, through| {
+            let hit = &self.emitters.met(geometry, hit, direction);
             let surface = geometry.surface(hit.triangle, hit.u, hit.v, 0.0);
             if hit.back && !geometry.material(hit.triangle).double_sided {
                 return;

@@ -261,7 +261,8 @@ fn the_same_receivers_give_the_same_bits_in_any_order_on_any_threads() {
 #[test]
 fn a_scene_without_light_and_a_receiver_without_a_normal_get_nothing() {
     let scene = floor("dark", 0.8).build();
-    assert_eq!(at_origin(&scene, Options::default(), 64), Estimate::default());
+    let nothing = Estimate { rays: 64, ..Estimate::default() };
+    assert_eq!(at_origin(&scene, Options::default(), 64), nothing, "a ray up from every walk");
     let geometry = Geometry::new(&scene);
     let rays = Rays::new(&geometry);
     let mut receiver = Receiver::on_triangle(&geometry, 0, 0.3, 0.3, 1.0, 0);

@@ -102,3 +102,32 @@ fn backs_are_black_unless_double_sided() {
         assert!(double_sided || mean(e.total) < 0.01, "{e:?}");
     }
 }
+
+/// Tilted panels that lie on each other: of those that look at the receiver the first is seen, whether aimed at or not.
+#[test]
+fn of_emitters_that_overlap_the_first_is_seen() {
+    let (o, a, c) = (Vec3::new(-0.7, 0.6, -0.4), Vec3::new(0.9, 0.35, 0.1), Vec3::new(-0.15, 0.2, 0.8));
+    let from = |x: f32, width: f32| lambert(&[o + a * x, o + a * (x + width), o + a * (x + width) + c, o + a * x + c]);
+    let whole = from(0.0, 1.0);
+    // Radiance and place of panels along `a`, those of width below 0 looking away; and what arrives.
+    let cases = [
+        (vec![(5.0, 0.0, 0.7), (5.0, 0.3, 0.7)], 5.0 * whole),
+        (vec![(5.0, 0.0, 0.7), (2.0, 0.3, 0.7)], 5.0 * from(0.0, 0.7) + 2.0 * from(0.7, 0.3)),
+        (vec![(1.0, 0.4, 0.2), (5.0, 0.0, 1.0)], 5.0 * (whole - from(0.4, 0.2)) + from(0.4, 0.2)),
+        (vec![(5.0, 0.0, 1.0), (3.0, 0.0, 1.0), (4.0, 0.2, 0.5)], 5.0 * whole),
+        (vec![(7.0, 1.0, -1.0), (5.0, 0.0, 1.0)], 5.0 * whole),
+    ];
+    for (panels, expected) in cases {
+        let mut b = floor("overlaps", 0.0);
+        for (radiance, x, width) in panels {
+            let glow = b.emitter(Vec3::ZERO, Vec3::splat(radiance));
+            b.quad("panel", o + a * x, a * width, c, glow);
+        }
+        let scene = b.build();
+        for next_event in [true, false] {
+            let samples = if next_event { 1 << 15 } else { 1 << 18 };
+            let e = at_origin(&scene, Options { next_event, bounces: Some(0), ..Options::default() }, samples);
+            check(mean(e.direct), e.direct_error, expected, 0.004);
+        }
+    }
+}
