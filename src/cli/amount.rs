@@ -27,8 +27,9 @@ pub fn size(text: &str) -> Result<u64, String> {
 
 /// `30d`, `12h`: a length of time. A number alone says too little.
 pub fn time(text: &str) -> Result<Duration, String> {
-    let seconds = amount(text, &TIMES).ok_or_else(|| "expected a time such as 90s, 45m, 12h, 30d or 2w".to_owned());
-    seconds.map(Duration::from_secs)
+    let seconds =
+        value(text, &TIMES).ok_or_else(|| "expected a time such as 90s, 0.5s, 45m, 12h, 30d or 2w".to_owned());
+    seconds.map(Duration::from_secs_f64)
 }
 
 /// `2%`, `0.02`: a share above 0. A number from 1 on without its sign may mean either.
@@ -43,14 +44,19 @@ pub fn share(text: &str) -> Result<f64, String> {
     value.filter(fits).ok_or_else(|| "expected a share such as 2%, 0.5% or 0.02".into())
 }
 
-/// A number with one of these units.
+/// A whole number of these units.
 fn amount(text: &str, units: &[(&str, u64)]) -> Option<u64> {
+    value(text, units).map(|value| value as u64)
+}
+
+/// A number with one of these units.
+fn value(text: &str, units: &[(&str, u64)]) -> Option<f64> {
     let text = text.trim().to_ascii_lowercase();
     let (number, unit) = units.iter().find_map(|(name, unit)| Some((text.strip_suffix(name)?.trim_end(), *unit)))?;
     let is_number = number.bytes().all(|b| b.is_ascii_digit() || b == b'.');
     let value = number.parse::<f64>().ok().filter(|_| is_number)? * unit as f64;
     // Beyond this, f64 counts no single units, and nobody has such a disk or waits so long.
-    (value <= (1u64 << 53) as f64).then_some(value as u64)
+    (value <= (1u64 << 53) as f64).then_some(value)
 }
 
 /// Bytes for a person: `0 B`, `640 KiB`, `1.5 GiB`.
@@ -95,6 +101,7 @@ mod tests {
         assert_eq!(sizes, [0, 65536, 2 << 30, 3 << 29, 500_000_000, 10_000, 3, 512].map(Ok));
         let times = ["90s", "45m", "12h", "30d", "2w", "0.5 d"].map(time);
         assert_eq!(times, [90, 2700, 43_200, 2_592_000, 1_209_600, 43_200].map(|s| Ok(Duration::from_secs(s))));
+        assert_eq!(time("0.5s"), Ok(Duration::from_millis(500)));
         for wrong in [
             "",
             "GiB",

@@ -22,7 +22,7 @@ has to tell of a verification of so many texels: then --max-error is judged by t
 
 A verified lightmap is compared as it is written, at texels drawn by their area. Checks: no texel belongs to two charts;
 no more than a tenth of the texels lies inside geometry; no texel that a closed wall separates from all light is lit;
-the energy ledger balances within 1 % after every stage; no value is negative or no number.
+the energy ledger balances within 1 % after the shooting, the refresh and the gather; no value is negative or no number.
 
 Events of --json, one object per line, with their fields:
   unchanged    scene, outputs                     left alone: its outputs are current; with --verify as baked

@@ -136,7 +136,7 @@ fn small(resolved: &Resolved) -> Settings {
 
 /// How a report was made: the command, and on what it ran.
 fn notes(settings: &Settings) -> Vec<String> {
-    let command: Vec<String> = std::env::args().skip(1).map(|arg| named(&arg)).collect();
+    let command: Vec<String> = std::env::args_os().skip(1).map(|arg| named(&arg.to_string_lossy())).collect();
     vec![
         format!("Made by `luxel {}`, version {}.", command.join(" "), env!("CARGO_PKG_VERSION")),
         format!("Machine: {}. Atlas of {} texels a side.", machine(), settings.size.0),
@@ -145,9 +145,13 @@ fn notes(settings: &Settings) -> Vec<String> {
 
 /// An argument without the folders of this machine.
 fn named(arg: &str) -> String {
-    let path = Path::new(arg);
+    let (flag, value) = match arg.split_once('=') {
+        Some((flag, value)) if flag.starts_with('-') => (format!("{flag}="), value),
+        _ => (String::new(), arg),
+    };
+    let path = Path::new(value);
     let name = path.file_name().filter(|_| path.is_absolute()).map(|name| name.to_string_lossy().into_owned());
-    luxel::text::plain(&name.unwrap_or_else(|| arg.into())).to_string()
+    luxel::text::plain(&format!("{flag}{}", name.as_deref().unwrap_or(value))).to_string()
 }
 
 /// Processors, memory and system of this machine, as far as the system tells.

@@ -60,10 +60,11 @@ pub fn verdict(list: &[Advice]) -> String {
 
 fn of(base: &Settings, series: &Series, points: &[Point]) -> Option<Advice> {
     let value = (Field::find(&series.name)?.get)(base);
-    let own: Vec<(f64, f64)> = points.iter().filter(|p| p.series == series.name).map(|p| (p.x, p.score.rmse)).collect();
+    let own: Vec<&Point> = points.iter().filter(|p| p.series == series.name).collect();
     let x = abscissa(&series.name, &value);
-    // A value that is no number on the axis, as exact light instead of photons, has no place on the law.
-    let fit = Fit::of(&own).filter(|_| x > 0.0);
+    // A value that is no number on the axis, as exact light instead of photons, has no place on the law; and what noise
+    // alone may have made is none.
+    let fit = Fit::of(&own.iter().map(|p| (p.x, p.score.rmse)).collect::<Vec<_>>()).filter(|_| x > 0.0 && falls(&own));
     let at = |x: f64| fit.map_or(0.0, |fit| fit.error(x));
     let share = fit.map_or(0.0, |fit| (fit.own(x) / fit.error(x)).powi(2));
     Some(Advice {
@@ -75,6 +76,14 @@ fn of(base: &Settings, series: &Series, points: &[Point]) -> Option<Advice> {
         doubled: at(2.0 * x),
         share: if share.is_finite() { share } else { 0.0 },
     })
+}
+
+/// The error of the finest value is surely below that of the coarsest, by their intervals.
+fn falls(points: &[&Point]) -> bool {
+    let on_axis = || points.iter().filter(|p| p.x > 0.0);
+    let coarsest = on_axis().min_by(|a, b| a.x.total_cmp(&b.x));
+    let finest = on_axis().max_by(|a, b| a.x.total_cmp(&b.x));
+    coarsest.zip(finest).is_some_and(|(coarsest, finest)| finest.score.rmse_high < coarsest.score.rmse_low)
 }
 
 #[cfg(test)]
@@ -89,7 +98,12 @@ mod tests {
         let point = |x: f64| Point {
             series: name.into(),
             x,
-            score: Score { rmse: law.error(x), ..Score::default() },
+            score: Score {
+                rmse: law.error(x),
+                rmse_low: 0.9 * law.error(x),
+                rmse_high: 1.1 * law.error(x),
+                ..Score::default()
+            },
             ..Point::default()
         };
         series.attempts.iter().map(|a| point(a.x)).collect()

@@ -277,7 +277,7 @@ pub fn points_table(points: &[Point]) -> String {
 
 /// What follows from the points: the laws, and what limits the error.
 pub fn conclusions(findings: &Findings) -> String {
-    let mut lines = vec![["setting", "value", "order", "floor", "now", "twice the work"].map(String::from).to_vec()];
+    let mut lines = vec![["setting", "value", "order", "floor", "now", "doubled"].map(String::from).to_vec()];
     for a in &findings.advice {
         let fitted = |get: fn(&Fit) -> String| a.fit.as_ref().map_or("-".into(), get);
         let known = |x: f64| if a.fit.is_some() { percent(x) } else { "-".into() };
