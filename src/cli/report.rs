@@ -19,9 +19,6 @@ use super::{End, each, places_by, prepare, print};
 /// The folder beside a scene in which reports are written.
 const FOLDER: &str = "report";
 
-/// Side of the atlas where nobody says otherwise: every method gathers at every texel.
-const SIDE: u32 = 128;
-
 /// What a report calls no sweep at all.
 const NONE: &str = "none";
 
@@ -129,7 +126,7 @@ fn small(resolved: &Resolved) -> Settings {
     let is_chosen = |name: &str| resolved.list().any(|(field, _, from)| field.name == name && *from != Origin::Default);
     let mut settings = resolved.settings.clone();
     if !is_chosen("size") && !is_chosen("texel_density") {
-        settings.size = Texels(SIDE);
+        settings.size = Texels(luxel::study::budget::SIDE);
     }
     settings
 }

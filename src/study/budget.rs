@@ -31,7 +31,7 @@ use crate::settings::{
 use crate::store::{Key, Kind, Reader, Store};
 
 /// Side of the atlas on which rungs are tried: nodes stand no denser there than in a larger one.
-const SIDE: u32 = 128;
+pub const SIDE: u32 = 128;
 
 /// How exact the reference of a trial has to be: below the noise of which a target is not told from another.
 const TRUTH: Exactness = Exactness { texels: 400, noise: 0.004, paths: 65_536 };

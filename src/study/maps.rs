@@ -27,11 +27,11 @@ use crate::settings::{
 };
 use crate::store::{Kind, Reader, Store};
 
-/// Side of the atlas that is mapped: every texel of it takes paths.
+/// Side of the atlas that is mapped, where the scene fits on one of the report's usual size: every texel takes paths.
 const SIDE: u32 = 96;
 
-/// Pixels along the side of a texel, at least.
-const ZOOM: u32 = 4;
+/// Pixels along the side of a page, about.
+const SHOWN: u32 = 384;
 
 /// Share of the mean at which the difference has its full colour.
 pub const FULL: f64 = 0.1;
@@ -42,11 +42,15 @@ const GAP: u32 = 8;
 /// A third of a percent of a picture is not seen, and costs much.
 const TRUTH: Exactness = Exactness { texels: usize::MAX, noise: 0.01, paths: 8192 };
 
+/// Paths of all texels together, at most.
+const WALKS: usize = 1 << 26;
+
 const NOTHING: [u8; 3] = [96, 96, 96];
 
-/// The settings of the bake that is mapped.
+/// The settings of the bake that is mapped. Who asks for a larger atlas than usual has a scene that needs it.
 pub fn settings(base: &Settings) -> Settings {
-    Settings { size: Texels(SIDE), texel_density: OrAuto(None), ..base.clone() }
+    let side = if base.size.0 > super::budget::SIDE { base.size.0 } else { SIDE };
+    Settings { size: Texels(side), texel_density: OrAuto(None), ..base.clone() }
 }
 
 /// The picture as PNG: baked, reference, difference. The laboratory's settings are those of [`settings`].
@@ -54,8 +58,9 @@ pub fn settings(base: &Settings) -> Settings {
 /// # Errors
 /// As a bake.
 pub fn draw(lab: &Lab, most: &Exactness, store: Option<&Store>, progress: &dyn Progress) -> Result<Vec<u8>, Error> {
-    let how = Exactness { noise: TRUTH.noise.max(most.noise), paths: TRUTH.paths.min(most.paths), ..TRUTH };
     let (atlas, _) = lab::lay_out(lab.scene(), lab.settings, store, progress)?;
+    let paths = TRUTH.paths.min(most.paths).min((WALKS / atlas.texels.len().max(1)) as u32).max(1);
+    let how = Exactness { noise: TRUTH.noise.max(most.noise), paths, ..TRUTH };
     let texels = truth::texels(lab, &atlas, TRUTH.texels);
     let truth = truth::truth(lab, texels, (&how, "maps"), store, progress)?;
     let baked = baked(lab, &atlas, store, progress)?;
@@ -72,7 +77,7 @@ pub fn draw(lab: &Lab, most: &Exactness, store: Option<&Store>, progress: &dyn P
     };
     let encode = |light: Vec3| tone.encode(light);
     let panels: [&dyn Fn(usize) -> [u8; 3]; 3] = [&|i| encode(found(i)), &|i| encode(known(i)), &difference];
-    Ok(encode_png(&sheet(&atlas, &panels, &counts))?)
+    Ok(encode_png(&sheet(&atlas, lab.settings.size.0, &panels, &counts))?)
 }
 
 /// What a bake finds at all texels [lux], made or read.
@@ -97,9 +102,15 @@ fn signed(share: f64) -> [u8; 3] {
     if share >= 0.0 { [255, fade(share), fade(share)] } else { [fade(-share), fade(-share), 255] }
 }
 
-/// All pages, each in three pictures side by side.
-fn sheet(atlas: &Arc<Atlas>, panels: &[&dyn Fn(usize) -> [u8; 3]; 3], counts: &dyn Fn(usize) -> bool) -> Image8 {
-    let side = SIDE * ZOOM;
+/// All pages of so many texels along a side, each in three pictures side by side.
+fn sheet(
+    atlas: &Arc<Atlas>,
+    texels: u32,
+    panels: &[&dyn Fn(usize) -> [u8; 3]; 3],
+    counts: &dyn Fn(usize) -> bool,
+) -> Image8 {
+    let zoom = (SHOWN / texels).max(1);
+    let side = texels * zoom;
     let pages = atlas.pages.len().max(1) as u32;
     let (width, height) = (3 * side + 2 * GAP, pages * side + (pages - 1) * GAP);
     let mut image = Image8 { width, height, texels: vec![[255; 3]; (width * height) as usize] };
@@ -111,7 +122,7 @@ fn sheet(atlas: &Arc<Atlas>, panels: &[&dyn Fn(usize) -> [u8; 3]; 3], counts: &d
         for (i, texel) in atlas.texels.iter().enumerate() {
             let colour = if counts(i) { colour(i) } else { NOTHING };
             let top = atlas.chart(texel).page * (side + GAP);
-            let at = (left + u32::from(texel.x) * ZOOM, top + u32::from(texel.y) * ZOOM, ZOOM, ZOOM);
+            let at = (left + u32::from(texel.x) * zoom, top + u32::from(texel.y) * zoom, zoom, zoom);
             fill(&mut image, at, colour);
         }
     }
