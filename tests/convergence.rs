@@ -54,13 +54,15 @@ fn errors(scene: &Scene, rungs: &[u32], how: Exactness, with_photons: bool) -> V
     .unwrap_or_else(|e| panic!("{}: {e}", scene.name))
 }
 
-/// No rung is surely worse than the one before it, the last one is surely better than the first and below `most`, and so
-/// is all that its bias may be.
+/// No rung is surely worse than the one before it, and the median error, in which the reference's noise is, falls with each;
+/// from the first to the last one the RMSE falls to less than half; the last one is below `most`, and so is all that its bias
+/// may be. (A single texel of the two rooms' lamp, just below the ceiling that it lights, has as much of the squared error as
+/// all others, so that intervals of the RMSE are too wide to part first and last.)
 fn assert_falls(scores: &[Score], most: f64) {
     assert!(scores.windows(2).all(|w| w[1].rmse_low < w[0].rmse_high), "{scores:?}");
     let [first, .., last] = scores else { panic!("there are rungs") };
-    assert!(last.rmse_high < first.rmse_low && last.rmse < most, "{scores:?}");
-    assert!(last.bias_low > -most && last.bias_high < most, "{last:?}");
+    assert!(scores.windows(2).all(|w| w[1].median < w[0].median) && last.rmse < 0.5 * first.rmse, "{scores:?}");
+    assert!(last.rmse < most && last.bias_low > -most && last.bias_high < most, "{last:?}");
 }
 
 const QUICK: Exactness = Exactness { texels: 250, noise: 0.006, paths: 16_384 };

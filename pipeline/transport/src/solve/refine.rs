@@ -9,8 +9,8 @@
 //!
 //! What is left is of second order, the defect of T̃ times the defect. Noise of the rays is averaged over the scene by
 //! T̃. The series ends when its terms are small, or after [`MOST`] of them: in nearly white rooms only the start of it is
-//! taken. Where it would take away all that the exact bounce found, behind the second door of a dark room, [`LEAST`] of
-//! that stays. Irradiances in lux.
+//! taken. Light stays positive: no term takes more than all but [`LEAST`] of what is there, as it would behind the second door
+//! of a dark room; where it takes a leak away, it takes 1 − ρ of it. Irradiances in lux.
 
 use luxel_scene::{Cancelled, Progress};
 
@@ -26,7 +26,7 @@ const MOST: u32 = 12;
 /// Share of all indirect light below which a term ends the series.
 const ENOUGH: f64 = 1e-5;
 
-/// Share of the exact bounce that no correction takes away.
+/// Share of what is there that no term takes away: less than any albedo that is not black.
 const LEAST: f32 = 1.0 / 16.0;
 
 /// Adds to refreshed irradiance what the defect of the irradiance `before`, whose memory is used, does to later bounces.
@@ -44,7 +44,6 @@ pub fn refine(
     let total = flux(surfels, |i| refreshed[i]).element_sum();
     let mut defect = before;
     defect.iter_mut().zip(&*refreshed).for_each(|(before, after)| *before = *after - *before);
-    let least: Vec<Rgb> = refreshed.iter().map(|e| *e * LEAST).collect();
     let sweep = Sweep::new(surfels, settings.rule, settings.closed);
     let mut rays = 0;
     for term in 0..MOST {
@@ -55,9 +54,8 @@ pub fn refine(
         rays += directions.len() as u64 * surfels.list.len() as u64;
         surfels.list.iter().zip(&mut defect).for_each(|(s, e)| *e *= s.albedo());
         defect = sweep.apply(&directions, defect, None, false, progress)?;
-        refreshed.iter_mut().zip(&defect).for_each(|(e, d)| *e += *d);
+        refreshed.iter_mut().zip(&defect).for_each(|(e, d)| *e = (*e + *d).max(*e * LEAST));
     }
-    refreshed.iter_mut().zip(least).for_each(|(e, least)| *e = e.max(least));
     Ok(rays)
 }
 
