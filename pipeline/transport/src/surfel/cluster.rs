@@ -116,7 +116,7 @@ impl Cluster {
 pub fn surfels(geometry: &Geometry, grid: &Grid, fragments: &[Fragment], mut out: impl FnMut(Patch, Rgb)) {
     let Some(voxel) = fragments.first().map(|f| f.voxel) else { return };
     // Planes that lie one behind the other are walls of their own.
-    let walls = walls::walls(voxel, &clustered(geometry, fragments, &[], walls::AWAY));
+    let walls = walls::walls(voxel, &clustered(geometry, fragments, &[], walls::APART));
     let mut clusters = clustered(geometry, fragments, &walls, f64::INFINITY);
     if walls.iter().any(|wall| clusters.iter().any(|c| wall.crosses(c.normal))) {
         clusters = clustered(geometry, &walls::divided(geometry, grid, &walls, fragments), &walls, f64::INFINITY);

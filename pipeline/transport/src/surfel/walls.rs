@@ -34,6 +34,9 @@ const PIECE: f64 = 1e-4;
 /// Walls of a voxel, at most, in the order of its clusters.
 const MOST: usize = 16;
 
+/// Distance between parallel planes, in voxel edges, from which on each is a wall of its own.
+pub const APART: f64 = 0.15;
+
 /// Cosine up to which a face looks the other way than a surface: within a degree, so that curved sheets part nothing.
 pub const FACING: f64 = -0.9998;
 
