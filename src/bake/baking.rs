@@ -24,6 +24,9 @@ pub struct Baking<'a> {
     pub kept: Option<&'a Kept>,
     /// Light that is not stored is not made either.
     pub only_stored: bool,
+    /// The energy ledger is kept, which traces rays of its own: of everything that is stored or shown, and not of what is
+    /// made for its time and error alone.
+    pub books: bool,
 }
 
 impl Baking<'_> {

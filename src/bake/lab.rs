@@ -56,6 +56,13 @@ pub fn load(path: &Path, settings: &Settings, progress: &dyn Progress) -> Result
     Ok(scene)
 }
 
+/// Digest of everything that the light of a scene at the texels of its atlas follows from, but for how it is computed.
+pub fn identity(scene: &Scene, settings: &Settings) -> Key {
+    let keys = Unit::of(scene, settings).keys;
+    let digest = Digest::new("scene").bytes(&keys.layout);
+    keys.parts.values().fold(digest, |digest, part| digest.text(part)).done()
+}
+
 /// Works on as many threads as the settings say.
 ///
 /// # Errors
@@ -202,9 +209,7 @@ impl<'a> Lab<'a> {
     /// Digest of everything that the light of this scene at the texels of its atlas follows from, but for how it is
     /// computed.
     pub fn identity(&self) -> Key {
-        let keys = Unit::of(self.scene(), self.settings).keys;
-        let digest = Digest::new("scene").bytes(&keys.layout);
-        keys.parts.values().fold(digest, |digest, part| digest.text(part)).done()
+        identity(self.scene(), self.settings)
     }
 
     /// Makes a method ready and works with it. Receivers that lie side by side on surfaces share what stands between
@@ -318,7 +323,7 @@ impl Unit {
 
     fn baking<'b>(&'b self, settings: &'b Settings, store: Option<&'b Store>) -> Baking<'b> {
         let Self { lighting, plan, keys, .. } = self;
-        Baking { settings, plan, lighting, keys, store, kept: None, only_stored: false }
+        Baking { settings, plan, lighting, keys, store, kept: None, only_stored: false, books: store.is_some() }
     }
 }
 

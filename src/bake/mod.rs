@@ -240,6 +240,7 @@ fn run(
         store: Some(&store),
         kept: Some(&request.kept),
         only_stored: mix.is_some(),
+        books: true,
     };
     let tracer = Tracer::new(&geometry, Some((&request.kept, keys.shape())));
     let (atlas, atlas_report) = match &request.worker {
@@ -285,6 +286,7 @@ pub fn bake_scene(scene: &Scene, settings: &Settings, progress: &dyn Progress) -
             store: None,
             kept: None,
             only_stored: false,
+            books: true,
         };
         let mut journal = Journal::new(progress);
         let laid_out = atlas::run(&baking, &scene, &InProcess, &mut journal)?;
@@ -396,7 +398,7 @@ fn parts(
     }
     let parts = sum.unwrap_or_else(|| Parts::dark(atlas.texels.len(), plan.states_bound(settings)));
     // Where a texel holds the light of two sides, or a part of it, surfels have nothing to compare it with.
-    if settings.double_sided == DoubleSided::Front && settings.only == Only::All {
+    if baking.books && settings.double_sided == DoubleSided::Front && settings.only == Only::All {
         transport.facts.gathered(energy::through_texels(tracer.geometry.scene, atlas, &parts, &displaced));
     }
     Ok((parts, transport.facts))

@@ -34,7 +34,8 @@ pub fn lightmaps(
     let keys = Keys::new(&scene, &lighting, settings, &plan);
     let geometry = Geometry::new(&scene);
     let (plan, lighting, keys) = (&plan, &lighting, &keys);
-    let baking = Baking { settings, plan, lighting, keys, store, kept: None, only_stored: false };
+    let baking =
+        Baking { settings, plan, lighting, keys, store, kept: None, only_stored: false, books: store.is_some() };
     let mut journal = Journal::new(progress);
     let laid_out = atlas::run(&baking, &scene, &InProcess, &mut journal)?;
     let lit = light(&baking, &Tracer::new(&geometry, None), laid_out, Keep::Images, &mut journal)?;

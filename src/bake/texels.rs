@@ -186,7 +186,9 @@ fn reflected_layers(
     let (surfels, solution, mut record) = transport.solution(baking, tracer, number, journal)?;
     let scale = tracer.geometry.frame.scale;
     let front = &receivers.sides[0];
-    record.flows.receive(tracer.geometry, (&surfels, &solution), front, 1.0 / (scale * scale));
+    if baking.books {
+        record.flows.receive(tracer.geometry, (&surfels, &solution), front, 1.0 / (scale * scale));
+    }
     transport.facts.add(record.clone(), baking.lighting.groups[number].factor);
     let rays = tracer.rays(plan, journal)?;
     journal.always(Stage::Gather, plan.reason(Stage::Gather), Some(receivers.len()), |progress, counters| {

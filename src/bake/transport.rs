@@ -170,7 +170,8 @@ impl Transport {
     ) -> Result<(Rc<Surfels>, Solution, Record), Error> {
         self.is_coarse = true;
         self.voxelize(baking, tracer, journal)?;
-        let kept = Baking { store: None, ..*baking };
+        // Nor is a draft judged by its books.
+        let kept = Baking { store: None, books: false, ..*baking };
         self.made(&kept, tracer, number, journal)
     }
 
@@ -198,11 +199,10 @@ impl Transport {
         let sky = &rays.geometry.scene.sky;
         let group = &lighting.groups[number];
         let weight = group.sky;
-        // A draft is not judged by its books.
-        let has_lights = !self.is_coarse && plan.runs(Stage::Shoot) && !group.sources.is_empty();
+        let has_lights = baking.books && plan.runs(Stage::Shoot) && !group.sources.is_empty();
         let emitters = if has_lights { Some(group.emitters(self.emitters(rays.geometry))) } else { None };
         let radiance = |direction| weight.map_or(Rgb::ZERO, |weight| weight * sky.radiance(direction));
-        let (closed, is_coarse) = (&mut self.closed, self.is_coarse);
+        let closed = &mut self.closed;
         let area = 1.0 / (rays.geometry.frame.scale * rays.geometry.frame.scale);
         let (mut solution, mut record, sweeps, solved) =
             journal.always(Stage::Propagate, plan.reason(Stage::Propagate), None, |progress, counters| {
@@ -219,8 +219,8 @@ impl Transport {
                 Ok((solution, Record::new(&report, rays.geometry.frame.scale), sweeps, solved))
             })?;
         let mut books = None;
-        if !is_coarse {
-            // The books have rays of their own, which are no part of the method and of its times.
+        if baking.books {
+            // The rays of the books are no part of the method and of its times.
             let progress = journal.progress;
             let shot = emitters.as_ref().map(|emitters| shot(rays, emitters, &surfels, &direct, progress));
             let sky = weight.map(|_| sky_flux(rays, &surfels, &radiance, progress));
@@ -435,6 +435,7 @@ mod tests {
             store: None,
             kept: None,
             only_stored: false,
+            books: true,
         };
         let mut transport = Transport::default();
         let tracer = Tracer::new(&geometry, None);
