@@ -80,8 +80,8 @@ impl Stage {
         match self {
             Self::Surfels | Self::Propagate => 6,
             Self::Shoot | Self::Direct => 5,
-            Self::Unwrap | Self::Refresh => 4,
-            Self::Gather | Self::Finish | Self::Preview | Self::Export => 3,
+            Self::Unwrap | Self::Refresh | Self::Preview => 4,
+            Self::Gather | Self::Finish | Self::Export => 3,
             Self::Sky => 2,
             Self::Import | Self::Rays | Self::Cache | Self::Clear => 1,
         }

@@ -5,16 +5,13 @@ use luxel_scene::{Cancelled, Progress, Scene};
 
 use super::choose::choose;
 use super::exposure::estimate;
-use super::film::{Picture, glimpse};
+use super::film::{FIRST, Picture, glimpse};
 use super::lens::{Lens, Size, camera};
 use super::light::ByLightmap;
 use super::march::Look;
 use super::pixel::Screen;
 
-/// Samples of a pixel with an edge.
-const SAMPLES: u32 = 16;
-
-/// Takes the picture.
+/// Takes the picture. Every pixel has the samples that one starts with and no more, for it is taken after every edit.
 ///
 /// # Errors
 /// When it is no longer wanted.
@@ -27,7 +24,7 @@ pub fn preview(look: &Look, light: &ByLightmap, progress: &dyn Progress) -> Resu
     let (width, height) = Size::usual(&camera);
     progress.begin("preview", u64::from(width) * u64::from(height));
     let lens = Lens::new(&camera, &geometry.frame, f64::from(width) / f64::from(height));
-    let screen = Screen { look, lens: &lens, width, height, samples: SAMPLES, pass: 0 };
+    let screen = Screen { look, lens: &lens, width, height, samples: FIRST, pass: 0 };
     let tone = estimate(&screen, light, progress)?;
     glimpse(&screen, light, &tone, progress)
 }
