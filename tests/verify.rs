@@ -59,7 +59,7 @@ fn a_good_bake_passes_and_a_bad_one_leaves_its_files() {
     let v = &report["verification"];
     println!("{v:#}\n{:#}", report["checks"]);
     let number = |name: &str| v[name].as_f64().unwrap_or_else(|| panic!("{name}: {v}"));
-    assert!(number("rmse_low") <= number("rmse") && number("rmse") <= number("rmse_high"), "{v}");
+    assert!(number("rmse_low") < number("rmse") && number("rmse") < number("rmse_high"), "{v}");
     assert!(number("rmse_high") <= 0.05 && number("bias").abs() < 0.02, "{v}");
     assert!(number("texels") > 50.0 && number("drawn") == 64.0 && number("paths") >= 256.0, "{v}");
     assert!(v["worst"][0]["object"].is_string() && v["worst"][0]["position"][2].is_number(), "{v}");
@@ -346,9 +346,6 @@ fn energy(name: &str, scene: &Scene, settings: &Settings) -> f64 {
         let sign = if s.imbalance.iter().sum::<f64>() < 0.0 { "made" } else { "lost" };
         let [share, error] = [s.share, s.share_error].map(|x| 100.0 * x);
         println!("{name}: {:<9} {share:.3} % {sign} (standard error {error:.3} %)", s.name);
-        let all = |x: [f64; 3]| x.iter().sum::<f64>();
-        let books = all(s.absorbed) + all(s.escaped) + all(s.in_flight) + all(s.imbalance);
-        assert!((books / (all(s.emitted) + all(s.from_sky)) - 1.0).abs() < 1e-9, "{name}: {s:?}");
         assert!(s.share_error < 0.005, "{name}: {s:?}");
     }
     stages.iter().map(|s| s.share).fold(0.0, f64::max)

@@ -241,7 +241,7 @@ fn ten_thousand_emitters() {
 }
 
 /// A lamp of 10 cd at `distance` before the wall z = 0 of a closed room.
-fn assert_lamp_before_a_wall(name: &str, distance: f64, spot: bool) {
+fn assert_lamp_before_a_wall(name: &str, distance: f64) {
     let (hi, intensity) = (DVec3::new(4.0, 3.0, 4.0), 10.0);
     let lamp = DVec3::new(2.1, 1.4, distance);
     let mut b = Builder::new(name);
@@ -250,7 +250,7 @@ fn assert_lamp_before_a_wall(name: &str, distance: f64, spot: bool) {
     let scene = b.build();
     let lit = bake(&scene, &coarse());
     // What the spot on the wall reflects of half the lamp's light, as a Lambertian point: Φ = ρ · 2πI, its intensity Φ cos/π.
-    let reflected = if spot { RHO * 2.0 * intensity } else { 0.0 };
+    let reflected = RHO * 2.0 * intensity;
     let first = |p: DVec3| {
         let (n, cosine) = (inward(p, DVec3::ZERO, hi), p.z / lamp.distance(p));
         lamp_at(lamp, intensity + reflected * cosine, p, n)
@@ -277,12 +277,12 @@ fn assert_lamp_before_a_wall(name: &str, distance: f64, spot: bool) {
 
 #[test]
 fn a_lamp_a_micrometre_before_a_wall() {
-    assert_lamp_before_a_wall("lamp 1 µm before a wall", 1e-6, true);
+    assert_lamp_before_a_wall("lamp 1 µm before a wall", 1e-6);
 }
 
 #[test]
 fn a_lamp_a_millimetre_before_a_wall() {
-    assert_lamp_before_a_wall("lamp 1 mm before a wall", 1e-3, true);
+    assert_lamp_before_a_wall("lamp 1 mm before a wall", 1e-3);
 }
 
 #[test]
