@@ -6,7 +6,7 @@ mod support;
 use luxel::bake::lab::{self, Lab};
 use luxel::settings::{LightGroups, Preset, Settings, value::Count, value::Texels};
 use luxel::study::measure::Measure;
-use luxel::study::series::{Attempt, OWN, Trial, together};
+use luxel::study::series::{bake, together};
 use luxel::study::truth::{self, Exactness};
 use luxel::study::{Score, ladder};
 use luxel_scene::{Scene, Silent};
@@ -20,15 +20,14 @@ fn errors(scene: &Scene, rungs: &[u32], how: Exactness, with_photons: bool) -> V
             let (atlas, _) = lab::lay_out(scene, &base, None, &Silent)?;
             let texels = truth::texels(lab, &atlas, how.texels);
             let truth = truth::truth(lab, texels, (&how, "test"), None, &Silent)?;
-            let measure = Measure { lab, atlas: &atlas, truth: &truth, store: None, fresh: true, machine: "" };
+            let measure = Measure::new(lab, &atlas, &truth, None, "");
             let mut scores = Vec::new();
             for &rung in rungs {
                 let mut settings = ladder::rung(&base, rung);
                 if with_photons {
                     settings.photons = Count(1 << (14 + 2 * rung).min(23));
                 }
-                let trial = Trial::Bake(Box::new(settings));
-                let attempt = Attempt { method: OWN.into(), value: rung.to_string(), x: ladder::work(rung), trial };
+                let attempt = bake(settings, rung.to_string(), ladder::work(rung));
                 let point = measure.point(&together(&base, &[]), &attempt, &Silent)?;
                 let s = point.score;
                 println!(

@@ -242,7 +242,7 @@ fn png(text: &str) -> Result<PathBuf, String> {
 
 /// Arguments of a whole report, which say nothing where settings are looked for.
 const WHOLE: [&str; 9] =
-    ["texels", "noise", "paths", "sweep", "no_methods", "no_together", "no_table", "no_maps", "fresh"];
+    ["texels", "noise", "paths", "sweep", "methods", "no_together", "no_table", "no_maps", "fresh"];
 
 #[derive(Debug, Args)]
 pub struct Report {
@@ -266,9 +266,10 @@ pub struct Report {
     /// Settings to sweep, separated by commas, or none [default: all of them]
     #[arg(long, value_name = "SETTING,..", value_delimiter = ',')]
     pub sweep: Option<Vec<String>>,
-    /// Leave out the other methods: path tracing, photon map, sample voxels, voxels alone
-    #[arg(long)]
-    pub no_methods: bool,
+    /// Methods to compare, separated by commas, or none: paths, photons, samples, voxels, lookup, final, lightcuts
+    /// [default: all of them]
+    #[arg(long, value_name = "METHOD,..", value_delimiter = ',')]
+    pub methods: Option<Vec<String>>,
     /// Leave out the row in which all settings grow together
     #[arg(long)]
     pub no_together: bool,
@@ -278,7 +279,7 @@ pub struct Report {
     /// Leave out the error maps
     #[arg(long)]
     pub no_maps: bool,
-    /// Measure anew what an earlier report measured
+    /// Measure anew what an earlier report measured; the reference and the error map, which tell no times, stay
     #[arg(long)]
     pub fresh: bool,
 }

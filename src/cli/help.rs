@@ -203,12 +203,13 @@ Examples:
   luxel report level.glb                          everything, with the settings as they are
   luxel report level.glb --sweep voxels,cut_error two settings alone
   luxel report level.glb --sweep none             the methods of the paper's Figure 3, and all settings together
+  luxel report level.glb --methods paths,photons  two methods beside the settings
   luxel report level.glb --target-error 2%        the settings for an error; luxel bake --target-error 2% uses them
   luxel report level.glb --target-time 30s        the settings for a time on this machine
 
 Events of --json, one object per line, with their fields, besides those of stages (luxel bake --help):
   point    scene, point                           one measurement
-  report   scene, findings                        laws, advice, Table 1, files
+  report   scene, findings, files                 laws, advice, Table 1; what was written
   target   scene, rung, flags, rmse, rmse_most, seconds, reached
 
 Exit codes: 0 done, 1 some scenes failed or their target is out of reach, 2 wrong usage, 130 interrupted.";

@@ -19,13 +19,16 @@ use super::{End, each, places_by, prepare, print};
 /// The folder beside a scene in which reports are written.
 const FOLDER: &str = "report";
 
-/// What a report calls no sweep at all.
+/// What a report calls none at all.
 const NONE: &str = "none";
 
 /// Reports on every scene.
 pub fn report(args: &Report) -> anyhow::Result<u8> {
     let Bake { common, out, storing } = &args.bake;
-    let sweeps = sweeps(args)?;
+    let chosen = Chosen {
+        sweeps: some_of("--sweep", "no setting that is swept", &args.sweep, &series::names().collect::<Vec<_>>())?,
+        methods: some_of("--methods", "no method", &args.methods, &series::METHODS)?,
+    };
     let mut task = prepare(common, out.as_deref())?;
     task.deed = "reported on";
     let places = places_by(&task.found, "--out", |found| target(found, out.as_deref()))?;
@@ -34,7 +37,7 @@ pub fn report(args: &Report) -> anyhow::Result<u8> {
         let store = storing.options().open(outputs.folder());
         let done = lab::on_threads(&resolved.settings, || match goal(args) {
             Some(goal) => settle(found, &resolved, goal, &store, reporter),
-            None => whole(args, sweeps.clone(), found, &resolved, (&outputs, &store), reporter),
+            None => whole(args, &chosen, found, &resolved, (&outputs, &store), reporter),
         });
         store.evict();
         done
@@ -48,16 +51,26 @@ fn target(found: &Found, to: Option<&Path>) -> Result<OutputSet, ExportError> {
     OutputSet::new(&found.scene, Some(to), root)
 }
 
-/// The settings to sweep, by their names; none: all of them.
-fn sweeps(args: &Report) -> anyhow::Result<Option<Vec<String>>> {
-    let Some(wanted) = &args.sweep else { return Ok(None) };
+/// What is measured, by its names; none: all of it.
+struct Chosen {
+    sweeps: Option<Vec<String>>,
+    methods: Option<Vec<String>>,
+}
+
+/// The names that a flag lists, all of which have to be `known`.
+fn some_of(
+    flag: &str,
+    otherwise: &str,
+    list: &Option<Vec<String>>,
+    known: &[&str],
+) -> anyhow::Result<Option<Vec<String>>> {
+    let Some(wanted) = list else { return Ok(None) };
     let wanted: Vec<String> = wanted.iter().map(|name| name.trim().replace('-', "_")).collect();
     if wanted == [NONE] {
         return Ok(Some(Vec::new()));
     }
-    let known: Vec<&str> = series::names().collect();
     if let Some(name) = wanted.iter().find(|name| !known.contains(&name.as_str())) {
-        anyhow::bail!("--sweep: {name} is no setting that is swept; these are: {}, or {NONE}", known.join(", "));
+        anyhow::bail!("{flag}: {name} is {otherwise}; these are: {}, or {NONE}", known.join(", "));
     }
     Ok(Some(wanted))
 }
@@ -77,7 +90,7 @@ fn goal(args: &Report) -> Option<Goal> {
 /// The whole report.
 fn whole(
     args: &Report,
-    sweeps: Option<Vec<String>>,
+    chosen: &Chosen,
     found: &Found,
     resolved: &Resolved,
     (outputs, store): (&OutputSet, &Store),
@@ -87,8 +100,8 @@ fn whole(
     let scene = lab::load(&found.scene, settings, reporter)?;
     let order = Order {
         exactness: Exactness { texels: args.texels as usize, noise: args.noise, paths: args.paths },
-        sweeps,
-        methods: !args.no_methods,
+        sweeps: chosen.sweeps.clone(),
+        methods: chosen.methods.clone(),
         together: !args.no_together,
         table: !args.no_table,
         maps: !args.no_maps,
@@ -107,7 +120,10 @@ fn whole(
     let findings = study(&scene, settings, &order, place, store, reporter, &mut tell)?;
     reporter.finish();
     match style {
-        Style::Json => event(&json!({ "event": "report", "scene": name, "findings": findings })),
+        Style::Json => event(&json!({
+            "event": "report", "scene": name, "findings": findings,
+            "files": findings.files.iter().map(|file| print::written(file)).collect::<Vec<_>>(),
+        })),
         Style::Quiet => {}
         Style::Lines | Style::Bar => {
             out(&format!("{}\n{}\n", run::points_table(&findings.points), run::conclusions(&findings)));

@@ -1,7 +1,7 @@
 //! The settings for an error or for a time: the practical question.
 //!
 //! The rungs of the [`ladder`](super::ladder) are tried from below, each at a few hundred texels against the reference: all
-//! light, on fronts, on a small atlas before its seams are stitched. For an error, the first rung wins the upper end of
+//! light, in the groups that a bake has, on fronts, on a small atlas before its seams are stitched. For an error, the first rung wins the upper end of
 //! whose 95 % interval is below it (each rung that is tried may pass by chance, 2.5 % of them); that depends on scene and
 //! settings alone, so it can be stored and a bake with it has the same bytes everywhere. For a time, the last rung wins
 //! that fits into it on this machine; what belongs to texels counts as often as the lightmap has more of them than the
@@ -15,8 +15,8 @@ use serde::{Deserialize, Serialize};
 use super::keys;
 use super::ladder::{self, RUNGS};
 use super::measure::Measure;
-use super::run::whole_light;
 use super::series::{self, Series};
+use super::small::{self, Small};
 use super::truth::{self, Exactness};
 use super::{Point, Score};
 use crate::Error;
@@ -24,13 +24,10 @@ use crate::bake::artefact;
 use crate::bake::digest::Digest;
 use crate::bake::lab::{self, Lab};
 use crate::bake::memory;
-use crate::settings::{
-    FIELDS, Origin, Resolved, Settings,
-    value::{OrAuto, Texels},
-};
+use crate::settings::{DoubleSided, FIELDS, Only, Origin, Resolved, Settings};
 use crate::store::{Key, Kind, Reader, Store};
 
-/// Side of the atlas on which rungs are tried: nodes stand no denser there than in a larger one.
+/// Side of the atlas on which rungs are tried, where it holds the scene: nodes stand no denser there than in a larger one.
 pub const SIDE: u32 = 128;
 
 /// How exact the reference of a trial has to be: below the noise of which a target is not told from another.
@@ -88,33 +85,24 @@ pub fn for_error(question: &Question, target: f64, progress: &dyn Progress) -> R
         );
         return Err(Error::Target { what });
     }
-    trial(question, progress, |trials| {
-        let (kept, key) = (question.store, key(trials, target));
-        if let Some(choice) = kept.and_then(|store| store.get(Kind::Choice, &key, read)) {
-            return Ok(choice);
-        }
-        let choice = ascend(trials, "", progress, |point, _| {
-            if point.score.rmse_high <= target { Verdict::Enough } else { Verdict::Higher { will_do: false } }
-        })?;
-        if let Some(store) = kept {
-            store.put(Kind::Choice, &key, |out| artefact::put_value(out, &choice));
-        }
-        Ok(choice)
-    })
+    if let Some(choice) = known(question, target) {
+        return Ok(choice);
+    }
+    let choice = ascend(question, "", progress, |point, _| {
+        // Where there is no light, nothing is wrong with it.
+        let is_enough = point.score.rmse_high <= target || point.score.mean <= 0.0;
+        if is_enough { Verdict::Enough } else { Verdict::Higher { will_do: false } }
+    })?;
+    if let Some(store) = question.store {
+        store.put(Kind::Choice, &key(question, target), |out| artefact::put_value(out, &choice));
+    }
+    Ok(choice)
 }
 
 /// What [`for_error`] found for this question before; nothing is tried.
-///
-/// # Errors
-/// When the work is cancelled.
-pub fn known(question: &Question, target: f64, progress: &dyn Progress) -> Result<Option<Choice>, Error> {
-    trial(question, progress, |trials| {
-        Ok(question.store.and_then(|store| store.get(Kind::Choice, &key(trials, target), read)))
-    })
-}
-
-fn read(body: &mut Reader) -> Result<Choice, String> {
-    artefact::body(body)
+pub fn known(question: &Question, target: f64) -> Option<Choice> {
+    let read = |body: &mut Reader| artefact::body::<Choice>(body);
+    question.store.and_then(|store| store.get(Kind::Choice, &key(question, target), read))
 }
 
 /// The highest rung whose light takes at most so many seconds on this `machine`.
@@ -122,10 +110,8 @@ fn read(body: &mut Reader) -> Result<Choice, String> {
 /// # Errors
 /// As a bake.
 pub fn for_time(question: &Question, seconds: f64, machine: &str, progress: &dyn Progress) -> Result<Choice, Error> {
-    trial(question, progress, |trials| {
-        ascend(trials, machine, progress, |_, estimate| {
-            if estimate <= seconds { Verdict::Higher { will_do: true } } else { Verdict::TooMuch }
-        })
+    ascend(question, machine, progress, |_, estimate| {
+        if estimate <= seconds { Verdict::Higher { will_do: true } } else { Verdict::TooMuch }
     })
 }
 
@@ -148,7 +134,7 @@ pub fn settings_for(
         let question = Question { scene, base, fixed, store: Some(store) };
         let choice = match may_try {
             true => Some(for_error(&question, target, progress)?),
-            false => known(&question, target, progress)?,
+            false => known(&question, target),
         };
         match choice {
             Some(choice) if !choice.is_reached => Err(unreached(target, &choice)),
@@ -181,67 +167,60 @@ enum Verdict {
     TooMuch,
 }
 
-/// Where rungs are tried.
-struct Trials<'a> {
-    question: &'a Question<'a>,
-    lab: &'a Lab<'a>,
-    /// The settings of the trials: all light, on a small atlas.
-    small: &'a Settings,
-}
-
-fn trial<T>(
-    question: &Question,
-    progress: &dyn Progress,
-    work: impl FnOnce(&Trials) -> Result<T, Error>,
-) -> Result<T, Error> {
-    let size = Texels(question.base.size.0.min(SIDE));
-    let small = Settings { size, texel_density: OrAuto(None), ..whole_light(question.base) };
-    Lab::with(question.scene, &small, None, progress, |lab| work(&Trials { question, lab, small: &small }))
+/// The settings of the trials: all light, on fronts, which is what the reference has.
+fn tried(base: &Settings) -> Settings {
+    Settings { only: Only::All, double_sided: DoubleSided::Front, ..base.clone() }
 }
 
 /// Digest of what a choice follows from.
-fn key(trials: &Trials, target: f64) -> Key {
-    let digest = keys::versions(Digest::new("choice").double(target).bytes(&trials.lab.identity()));
-    let digest = trials.question.fixed.iter().fold(digest, |digest, name| digest.text(name));
-    keys::lasting(digest, trials.question.base).done()
+fn key(question: &Question, target: f64) -> Key {
+    // The atlas of the trials follows from the smallest one.
+    let smallest = small::sized(&tried(question.base), question.base.size.0.min(SIDE));
+    let digest = keys::versions(Digest::new("choice").double(target).bytes(&lab::identity(question.scene, &smallest)));
+    let digest = question.fixed.iter().fold(digest, |digest, name| digest.text(name));
+    keys::lasting(digest, question.base).done()
 }
 
 fn ascend(
-    trials: &Trials,
+    question: &Question,
     machine: &str,
     progress: &dyn Progress,
     judge: impl Fn(&Point, f64) -> Verdict,
 ) -> Result<Choice, Error> {
-    let Trials { question, lab, small } = trials;
-    let (atlas, report) = lab::lay_out(question.scene, small, question.store, progress)?;
-    let texels = truth::texels(lab, &atlas, TRUTH.texels);
-    let truth = truth::truth(lab, texels, (&TRUTH, "target"), question.store, progress)?;
-    let measure = Measure { lab, atlas: &atlas, truth: &truth, store: question.store, fresh: false, machine };
-    let series: Series = series::together(small, question.fixed);
-    progress.begin("trials", u64::from(RUNGS));
-    let mut last: Option<Choice> = None;
-    for (rung, attempt) in (0..).zip(&series.attempts) {
-        memory::check(&attempt.needs(question.scene))?;
-        let point = measure.point(&series, attempt, &Uncounted(progress))?;
-        progress.advance(1);
-        let seconds = estimate(&point, question.base, report.density);
-        let choice = |is_reached| Choice { rung, score: point.score, seconds, is_reached };
-        match judge(&point, seconds) {
-            Verdict::Enough => return Ok(choice(true)),
-            Verdict::Higher { will_do } => last = Some(choice(will_do)),
-            Verdict::TooMuch => return Ok(last.unwrap_or_else(|| choice(false))),
+    let Question { scene, base, fixed, store } = *question;
+    let Small { settings, atlas, report } = small::lay_out(scene, &tried(base), (SIDE, base.size.0), store, progress)?;
+    Lab::with(scene, &settings, None, progress, |lab| {
+        let texels = truth::texels(lab, &atlas, TRUTH.texels);
+        let truth = truth::truth(lab, texels, (&TRUTH, "target"), store, progress)?;
+        let measure = Measure::new(lab, &atlas, &truth, store, machine);
+        let series: Series = series::together(&settings, fixed);
+        progress.begin("trials", u64::from(RUNGS));
+        let mut last: Option<Choice> = None;
+        for (rung, attempt) in (0..).zip(&series.attempts) {
+            if let Err(error) = memory::check(&attempt.needs(scene)) {
+                return last.filter(|below| below.is_reached).ok_or(error);
+            }
+            let point = measure.point(&series, attempt, &Uncounted(progress))?;
+            progress.advance(1);
+            let seconds = estimate(&point, base, (report.density, settings.size.0));
+            let choice = |is_reached| Choice { rung, score: point.score, seconds, is_reached };
+            match judge(&point, seconds) {
+                Verdict::Enough => return Ok(choice(true)),
+                Verdict::Higher { will_do } => last = Some(choice(will_do)),
+                Verdict::TooMuch => return Ok(last.unwrap_or_else(|| choice(false))),
+            }
         }
-    }
-    // The highest rung still fits into a time, or is still not exact enough.
-    last.ok_or(Error::Cancelled)
+        // The highest rung still fits into a time, or is still not exact enough.
+        last.ok_or(Error::Cancelled)
+    })
 }
 
 /// The time of the whole lightmap's light: what belongs to texels grows with their number, surfels stay as they are.
-/// `density` is that of the trial [texels per scene unit].
-fn estimate(point: &Point, base: &Settings, density: f64) -> f64 {
+/// The trial's atlas has `density` texels per scene unit and `side` along a side.
+fn estimate(point: &Point, base: &Settings, (density, side): (f64, u32)) -> f64 {
     let finer = match base.texel_density.0 {
         Some(wanted) if density > 0.0 => f64::from(wanted) / density,
-        _ => f64::from(base.size.0) / f64::from(base.size.0.min(SIDE)),
+        _ => f64::from(base.size.0) / f64::from(side),
     };
     point.seconds + point.texel_seconds * (finer * finer - 1.0)
 }

@@ -7,6 +7,8 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::Point;
+
 /// The law of a series.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Fit {
@@ -30,6 +32,18 @@ const STEEPEST: f64 = 4.0;
 const FLATTEST: f64 = 0.05;
 
 impl Fit {
+    /// The law of a series, where its finest value has an error that is surely below that of its coarsest, by their
+    /// intervals. An error that is not told from none counts as half of the most that it may be.
+    pub fn of_series(points: &[&Point]) -> Option<Self> {
+        let on_axis = || points.iter().filter(|p| p.x > 0.0);
+        let coarsest = on_axis().min_by(|a, b| a.x.total_cmp(&b.x))?;
+        let finest = on_axis().max_by(|a, b| a.x.total_cmp(&b.x))?;
+        let falls = finest.score.rmse_high < coarsest.score.rmse_low;
+        let error = |p: &Point| if p.score.rmse > 0.0 { p.score.rmse } else { 0.5 * p.score.rmse_high };
+        let pairs: Vec<(f64, f64)> = on_axis().map(|p| (p.x, error(p))).collect();
+        Self::of(&pairs).filter(|_| falls)
+    }
+
     /// Fits pairs (x, e) with x > 0; none where they are too few or say nothing.
     pub fn of(points: &[(f64, f64)]) -> Option<Self> {
         let points: Vec<(f64, f64)> = points.iter().copied().filter(|(x, e)| *x > 0.0 && *e > 0.0).collect();
@@ -89,6 +103,28 @@ mod tests {
             assert!((fit.floor - floor).abs() < 0.1 * floor + 1e-3, "{fit:?}");
             assert!((fit.error(200.0) / law.error(200.0) - 1.0).abs() < 0.02);
         }
+    }
+
+    #[test]
+    fn what_noise_may_have_made_is_no_law_of_a_series() {
+        let points = |spread: f64| -> Vec<Point> {
+            let point = |i: u32| {
+                let e = 0.04 / f64::from(1 << i);
+                let score = crate::study::Score {
+                    rmse: if i == 3 { 0.0 } else { e },
+                    rmse_low: e / spread,
+                    rmse_high: e * spread,
+                    ..Default::default()
+                };
+                Point { x: f64::from(1 << i), score, ..Point::default() }
+            };
+            (0..4).map(point).collect()
+        };
+        let fit = |points: &[Point]| Fit::of_series(&points.iter().collect::<Vec<_>>());
+        // An error of which only the upper end is known counts all the same.
+        let known = fit(&points(1.2)).unwrap();
+        assert!((known.order - 1.0).abs() < 0.3 && known.floor < 0.005, "{known:?}");
+        assert_eq!(fit(&points(3.0)), None);
     }
 
     #[test]

@@ -11,9 +11,10 @@ use glam::Vec3;
 use luxel_atlas::Atlas;
 use luxel_export::png::{Image8, encode_png};
 use luxel_export::tonemap::ToneMap;
-use luxel_scene::Progress;
+use luxel_scene::{Progress, Scene};
 
 use super::keys;
+use super::small::{self, Small};
 use super::truth::{self, Exactness};
 use crate::Error;
 use crate::bake::{
@@ -21,13 +22,10 @@ use crate::bake::{
     digest::Digest,
     lab::{self, Lab},
 };
-use crate::settings::{
-    Settings,
-    value::{OrAuto, Texels},
-};
+use crate::settings::Settings;
 use crate::store::{Kind, Reader, Store};
 
-/// Side of the atlas that is mapped, where the scene fits on one of the report's usual size: every texel takes paths.
+/// Side of the atlas that is mapped, where it holds the scene: every texel takes paths.
 const SIDE: u32 = 96;
 
 /// Pixels along the side of a page, about.
@@ -47,23 +45,31 @@ const WALKS: usize = 1 << 26;
 
 const NOTHING: [u8; 3] = [96, 96, 96];
 
-/// The settings of the bake that is mapped. Who asks for a larger atlas than usual has a scene that needs it.
-pub fn settings(base: &Settings) -> Settings {
-    let side = if base.size.0 > super::budget::SIDE { base.size.0 } else { SIDE };
-    Settings { size: Texels(side), texel_density: OrAuto(None), ..base.clone() }
-}
-
-/// The picture as PNG: baked, reference, difference. The laboratory's settings are those of [`settings`].
+/// The place of the texels of the bake that is mapped. Who asks for a larger atlas than the report's usual one has it.
 ///
 /// # Errors
 /// As a bake.
-pub fn draw(lab: &Lab, most: &Exactness, store: Option<&Store>, progress: &dyn Progress) -> Result<Vec<u8>, Error> {
-    let (atlas, _) = lab::lay_out(lab.scene(), lab.settings, store, progress)?;
+pub fn lay_out(scene: &Scene, base: &Settings, store: &Store, progress: &dyn Progress) -> Result<Small, Error> {
+    let side = if base.size.0 > super::budget::SIDE { base.size.0 } else { SIDE };
+    small::lay_out(scene, base, (side, base.size.0.max(side)), Some(store), progress)
+}
+
+/// The picture as PNG: baked, reference, difference. The laboratory's settings are those with which the atlas was laid out.
+///
+/// # Errors
+/// As a bake.
+pub fn draw(
+    lab: &Lab,
+    atlas: &Arc<Atlas>,
+    most: &Exactness,
+    store: Option<&Store>,
+    progress: &dyn Progress,
+) -> Result<Vec<u8>, Error> {
     let paths = TRUTH.paths.min(most.paths).min((WALKS / atlas.texels.len().max(1)) as u32).max(1);
     let how = Exactness { noise: TRUTH.noise.max(most.noise), paths, ..TRUTH };
-    let texels = truth::texels(lab, &atlas, TRUTH.texels);
+    let texels = truth::texels(lab, atlas, TRUTH.texels);
     let truth = truth::truth(lab, texels, (&how, "maps"), store, progress)?;
-    let baked = baked(lab, &atlas, store, progress)?;
+    let baked = baked(lab, atlas, store, progress)?;
     let expected: BTreeMap<usize, Vec3> = truth.points.iter().map(|p| (p.texel, p.light.total)).collect();
     let counts = |i: usize| expected.contains_key(&i);
     let found = |i: usize| baked[i];
@@ -77,7 +83,7 @@ pub fn draw(lab: &Lab, most: &Exactness, store: Option<&Store>, progress: &dyn P
     };
     let encode = |light: Vec3| tone.encode(light);
     let panels: [&dyn Fn(usize) -> [u8; 3]; 3] = [&|i| encode(found(i)), &|i| encode(known(i)), &difference];
-    Ok(encode_png(&sheet(&atlas, lab.settings.size.0, &panels, &counts))?)
+    Ok(encode_png(&sheet(atlas, lab.settings.size.0, &panels, &counts))?)
 }
 
 /// What a bake finds at all texels [lux], made or read.

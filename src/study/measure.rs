@@ -1,11 +1,14 @@
 //! One measurement: light at all texels of an atlas by one way, its cost, and its error where the truth is known.
 
+use std::cell::RefCell;
+use std::collections::BTreeSet;
 use std::sync::Arc;
 
 use luxel_atlas::Atlas;
 use luxel_export::report::Table1;
 use luxel_scene::Progress;
 use luxel_transport::{direct::Visibility, gather::Receiver, methods::Light};
+use serde::Serialize;
 
 use super::keys;
 use super::series::{Attempt, Series, Trial};
@@ -22,17 +25,16 @@ use crate::settings::Settings;
 use crate::store::{Key, Kind, Reader, Store};
 
 /// A scene with its texels and their truth.
-#[derive(Clone, Copy)]
 pub struct Measure<'a> {
-    pub lab: &'a Lab<'a>,
-    pub atlas: &'a Arc<Atlas>,
-    pub truth: &'a Truth,
+    lab: &'a Lab<'a>,
+    atlas: &'a Arc<Atlas>,
+    truth: &'a Truth,
     /// Where measurements are kept.
-    pub store: Option<&'a Store>,
-    /// Makes all measurements anew.
-    pub fresh: bool,
+    store: Option<&'a Store>,
     /// On what it runs: seconds of one machine are not those of another. Empty where only errors matter.
-    pub machine: &'a str,
+    machine: &'a str,
+    /// Where nothing of earlier runs counts: what this one has kept.
+    anew: Option<RefCell<BTreeSet<Key>>>,
 }
 
 /// What was found at the texels of the truth, and what it took at all of them.
@@ -45,22 +47,49 @@ struct Found {
     discrete_rays: u64,
 }
 
-impl Measure<'_> {
+impl<'a> Measure<'a> {
+    pub fn new(
+        lab: &'a Lab<'a>,
+        atlas: &'a Arc<Atlas>,
+        truth: &'a Truth,
+        store: Option<&'a Store>,
+        machine: &'a str,
+    ) -> Self {
+        Self { lab, atlas, truth, store, machine, anew: None }
+    }
+
+    /// The same where everything is measured anew, and once.
+    #[must_use]
+    pub fn anew(self) -> Self {
+        Self { anew: Some(RefCell::default()), ..self }
+    }
+
+    /// What is kept under a key, if it may be believed.
+    fn kept<T>(&self, kind: Kind, key: &Key, read: impl FnOnce(&mut Reader) -> Result<T, String>) -> Option<T> {
+        let counts = self.anew.as_ref().is_none_or(|own| own.borrow().contains(key));
+        self.store.filter(|_| counts)?.get(kind, key, read)
+    }
+
+    fn keep<T: Serialize>(&self, kind: Kind, key: &Key, value: &T) {
+        if let Some(store) = self.store {
+            store.put(kind, key, |out| artefact::put_value(out, value));
+        }
+        if let Some(own) = &self.anew {
+            own.borrow_mut().insert(*key);
+        }
+    }
+
     /// Measures a point, or reads what was measured of it before.
     ///
     /// # Errors
     /// As a bake.
     pub fn point(&self, series: &Series, attempt: &Attempt, progress: &dyn Progress) -> Result<Point, Error> {
         let key = self.key(attempt);
-        let read = |body: &mut Reader| artefact::body::<Point>(body);
-        let stored = self.store.filter(|_| !self.fresh).and_then(|store| store.get(Kind::Measurement, &key, read));
-        let point = match stored {
+        let point = match self.kept(Kind::Measurement, &key, artefact::body::<Point>) {
             Some(point) => point,
             None => {
                 let point = self.made(attempt, progress)?;
-                if let Some(store) = self.store {
-                    store.put(Kind::Measurement, &key, |out| artefact::put_value(out, &point));
-                }
+                self.keep(Kind::Measurement, &key, &point);
                 point
             }
         };
@@ -86,21 +115,13 @@ impl Measure<'_> {
     /// # Errors
     /// As a bake.
     pub fn table1(&self, settings: &Settings, progress: &dyn Progress) -> Result<Table1, Error> {
-        let read = |body: &mut Reader| artefact::body::<Table1>(body);
-        let store = self.store.filter(|_| !self.fresh);
-        if let Some(stored) = store.and_then(|store| store.get(Kind::Figures, &self.figures_key(settings), read)) {
+        let key = self.figures_key(settings);
+        if let Some(stored) = self.kept(Kind::Figures, &key, artefact::body::<Table1>) {
             return Ok(stored);
         }
         let trial = lab::attempt(self.lab.scene(), settings, self.atlas, progress)?;
-        self.keep(settings, &trial.table1);
+        self.keep(Kind::Figures, &key, &trial.table1);
         Ok(trial.table1)
-    }
-
-    /// Every bake that is measured has them.
-    fn keep(&self, settings: &Settings, table1: &Table1) {
-        if let Some(store) = self.store {
-            store.put(Kind::Figures, &self.figures_key(settings), |out| artefact::put_value(out, table1));
-        }
     }
 
     /// Digest of what the figures of a bake follow from: the scene with its texels, all settings, the machine.
@@ -135,7 +156,8 @@ impl Measure<'_> {
             indirect: trial.parts.indirect[*i],
             ..Light::default()
         };
-        self.keep(settings, &trial.table1);
+        // Every bake that is measured has the figures of Table 1.
+        self.keep(Kind::Figures, &self.figures_key(settings), &trial.table1);
         Ok(Found {
             light: self.truth.points.iter().map(|known| light(&known.texel)).collect(),
             cost: trial.cost,

@@ -12,6 +12,7 @@
 //! | [`measure`] | the measurement itself |
 //! | [`fit`] | the order with which an error falls, and where it stops falling |
 //! | [`advice`] | which setting limits the error of a bake |
+//! | `small` | the small atlas on which settings are tried |
 //! | [`budget`] | the settings for an error or a time |
 //! | [`table`] | the paper's Table 1, row by row |
 //! | [`plot`], [`maps`] | pictures of it |
@@ -33,6 +34,7 @@ pub mod point;
 pub mod run;
 pub mod score;
 pub mod series;
+mod small;
 pub mod table;
 pub mod truth;
 

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use plotters::prelude::*;
 
 use super::Point;
-use super::series::OWN;
+use super::series::{BASE, TOGETHER, names};
 
 /// Size of a plot [pixels].
 const SIZE: (u32, u32) = (880, 560);
@@ -31,13 +31,18 @@ const COLOURS: [RGBColor; 11] = [
     RGBColor(200, 190, 30),
 ];
 
-/// Error against processor time of every method and of all rungs together, with the Pareto front of all points: those
-/// that no other beats in both.
+/// Error against processor time of every method, of all rungs together and of the settings as they are, with the Pareto
+/// front of all points: those that no other beats in both.
 pub fn front(title: &str, points: &[Point], noise: f64) -> Result<String, String> {
     let shown = |p: &&Point| p.score.mean > 0.0 && p.cpu_seconds > 0.0;
     let mut by: BTreeMap<&str, Vec<(f64, f64)>> = BTreeMap::new();
-    for p in points.iter().filter(shown).filter(|p| p.method != OWN || p.series == "together") {
-        by.entry(&p.method).or_default().push((p.cpu_seconds, visible(p, noise)));
+    for p in points.iter().filter(shown).filter(|p| !is_sweep(p)) {
+        let name = match p.series.as_str() {
+            BASE => "settings as they are",
+            TOGETHER => "all settings together",
+            _ => &p.method,
+        };
+        by.entry(name).or_default().push((p.cpu_seconds, visible(p, noise)));
     }
     let lines: Vec<Line> =
         by.into_iter().map(|(name, points)| Line { name: name.into(), points: sorted(points) }).collect();
@@ -48,7 +53,7 @@ pub fn front(title: &str, points: &[Point], noise: f64) -> Result<String, String
 /// Error against the value of each swept setting, over that of its finest.
 pub fn sweeps(title: &str, points: &[Point], noise: f64) -> Result<String, String> {
     let mut by: BTreeMap<&str, Vec<(f64, f64)>> = BTreeMap::new();
-    for p in points.iter().filter(|p| p.method == OWN && p.series != "together" && p.x > 0.0) {
+    for p in points.iter().filter(|p| is_sweep(p) && p.x > 0.0) {
         by.entry(&p.series).or_default().push((p.x, visible(p, noise)));
     }
     let relative = |points: Vec<(f64, f64)>| {
@@ -58,6 +63,11 @@ pub fn sweeps(title: &str, points: &[Point], noise: f64) -> Result<String, Strin
     let lines: Vec<Line> =
         by.into_iter().map(|(name, points)| Line { name: name.into(), points: relative(points) }).collect();
     draw(title, "work in one setting, over the most that was tried", &lines, &[], noise)
+}
+
+/// The point differs from the settings as they are in one of them.
+fn is_sweep(p: &Point) -> bool {
+    names().any(|name| name == p.series)
 }
 
 /// An error that has a logarithm: one that is not told from none is drawn far below the noise of the reference.
@@ -110,7 +120,7 @@ fn paint<'s>(
     noise: f64,
 ) -> Result<(), Failure<'s>> {
     area.fill(&WHITE)?;
-    let points = || lines.iter().flat_map(|l| &l.points);
+    let points = || lines.iter().flat_map(|l| &l.points).chain(front);
     let (x, y) =
         (range(points().map(|p| p.0)), range(points().map(|p| p.1).chain([noise].into_iter().filter(|n| *n > 0.0))));
     let mut chart = ChartBuilder::on(area)
@@ -149,7 +159,10 @@ fn paint<'s>(
         chart
             .draw_series(DashedLineSeries::new([(x.0, noise), (x.1, noise)], 5, 4, style))?
             .label("noise of the reference")
-            .legend(move |(x, y)| PathElement::new([(x, y), (x + 18, y)], style));
+            .legend(move |(x, y)| {
+                let dash = |from: i32| PathElement::new([(from, 0), (from + 5, 0)], style);
+                EmptyElement::at((x, y)) + dash(0) + dash(7) + dash(14)
+            });
     }
     chart
         .configure_series_labels()

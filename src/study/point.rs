@@ -50,13 +50,13 @@ const COLUMNS: [(&str, &str); 29] = [
     ("reference_noise", "root mean square of the reference's standard error, over the mean"),
     ("rmse", "over the mean, all bands, the reference's noise taken off"),
     ("rmse_low", "its 95 % confidence interval"),
-    ("rmse_high", "the same"),
+    ("rmse_high", "the same; empty where nothing was compared"),
     ("relmse", "mean of squared error over squared light"),
     ("bias", "mean difference over the mean"),
     ("bias_low", "its 95 % confidence interval"),
     ("bias_high", "the same"),
-    ("median", "of the relative error"),
-    ("p95", "95th percentile of the relative error"),
+    ("median", "of the relative error, the reference's noise included"),
+    ("p95", "95th percentile of the relative error, the reference's noise included"),
     ("direct_rmse", "of light straight from lights, over the mean of all, noise taken off"),
     ("direct_bias", "the same"),
     ("indirect_rmse", "of reflected and sky light, over the mean of all, noise taken off"),
@@ -67,7 +67,8 @@ const COLUMNS: [(&str, &str); 29] = [
 impl Point {
     fn row(&self) -> [String; COLUMNS.len()] {
         let s = &self.score;
-        let short = |x: f64| format!("{x:.6}");
+        // What no texel tells has no upper end.
+        let short = |x: f64| if x < f64::MAX { format!("{x:.6}") } else { String::new() };
         [
             self.scene.clone(),
             self.series.clone(),
@@ -122,6 +123,12 @@ pub fn csv(points: &[Point], notes: &[String]) -> Result<Vec<u8>, csv::Error> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn what_is_not_known_is_left_blank() {
+        let score = Score { rmse_high: f64::MAX, ..Score::default() };
+        assert_eq!(Point { score, ..Point::default() }.row()[17], "");
+    }
 
     #[test]
     fn a_table_is_read_by_whoever_skips_comments() {

@@ -15,6 +15,7 @@ use super::fit::Fit;
 use super::measure::Measure;
 use super::point::csv;
 use super::series::{self, Series};
+use super::small::Small;
 use super::table::{self, Column};
 use super::truth::{self, Exactness};
 use super::{Point, Score, maps, plot};
@@ -34,11 +35,12 @@ pub struct Order {
     pub exactness: Exactness,
     /// Settings that are swept; none: all of them.
     pub sweeps: Option<Vec<String>>,
-    pub methods: bool,
+    /// Other methods, by their names ([`series::METHODS`]); none: all of them.
+    pub methods: Option<Vec<String>>,
     pub together: bool,
     pub table: bool,
     pub maps: bool,
-    /// Measures anew what was measured before.
+    /// Measures anew what was measured before; the reference and the map have no times and stay.
     pub fresh: bool,
     /// On what it runs.
     pub machine: String,
@@ -63,7 +65,8 @@ pub struct Findings {
     pub table1: Vec<Column>,
     /// What a person should know of it.
     pub warnings: Vec<Warning>,
-    /// What was written.
+    /// What was written, where this is not told among it.
+    #[serde(skip)]
     pub files: Vec<PathBuf>,
 }
 
@@ -98,27 +101,23 @@ pub fn study(
         .collect();
     let mut all: Vec<Series> = vec![series::as_it_is(base)];
     all.extend(order.together.then(|| series::together(base, &[])));
-    all.extend(if order.methods { series::methods(base) } else { Vec::new() });
+    let is_wanted = |name: &str| order.methods.as_ref().is_none_or(|wanted| wanted.iter().any(|w| w == name));
+    all.extend(series::methods(base, is_wanted));
     all.extend(sweeps.iter().cloned());
     let columns = if order.table { table::settings(base, scene.triangle_count()).into() } else { Vec::new() };
-    let mapped = order.maps.then(|| maps::settings(base));
+    let map = order.maps.then(|| maps::lay_out(scene, base, store, progress)).transpose()?;
+    let mapped = map.as_ref().map(|small| &small.settings);
     // What does not fit is told before the hours that the rest may take.
     let attempts = all.iter().flat_map(|s| &s.attempts).map(|attempt| attempt.needs(scene));
-    let bakes = columns.iter().map(|(_, settings)| settings).chain(&mapped);
+    let bakes = columns.iter().map(|(_, settings)| settings).chain(mapped);
     let needs = attempts.chain(bakes.map(|settings| needs::bake(scene, settings)));
     let warnings = Vec::from_iter(memory::check(&needs.fold(Memory::default(), Memory::max))?);
     Lab::with(scene, base, None, progress, |lab| {
         let (atlas, _) = lab::lay_out(scene, base, Some(store), progress)?;
         let texels = truth::texels(lab, &atlas, order.exactness.texels);
         let truth = truth::truth(lab, texels, (&order.exactness, REPORT), Some(store), progress)?;
-        let measure = Measure {
-            lab,
-            atlas: &atlas,
-            truth: &truth,
-            store: Some(store),
-            fresh: order.fresh,
-            machine: &order.machine,
-        };
+        let measure = Measure::new(lab, &atlas, &truth, Some(store), &order.machine);
+        let measure = if order.fresh { measure.anew() } else { measure };
         let mut book = Book { order, folder, stem, points: Vec::new(), files: Vec::new() };
         let count = all.iter().map(|s| s.attempts.len() as u64).sum();
         progress.begin("report", count);
@@ -140,6 +139,8 @@ pub fn study(
         let reference =
             Known { texels: truth.points.len(), paths: truth.paths, mean: truth.mean(), noise: truth.noise() };
         let verdict = advice::verdict(&advice);
+        let mut warnings = warnings;
+        warnings.extend(noisy(&reference, &order.exactness));
         let mut findings = Findings {
             scene: scene.name.clone(),
             reference,
@@ -153,13 +154,26 @@ pub fn study(
             files: Vec::new(),
         };
         book.close(&mut findings)?;
-        if let Some(settings) = &mapped {
-            let png = maps::draw(&lab.tuned(settings), &order.exactness, Some(store), progress)?;
+        if let Some(Small { settings, atlas, .. }) = &map {
+            let png = maps::draw(&lab.tuned(settings), atlas, &order.exactness, Some(store), progress)?;
             let path = folder.join(format!("{stem}.maps.png"));
             write_atomic(&path, &png)?;
             findings.files.push(path);
         }
         Ok(findings)
+    })
+}
+
+/// Says so where the paths came to their end before the reference was as exact as it should be.
+fn noisy(known: &Known, wanted: &Exactness) -> Option<Warning> {
+    (known.noise > wanted.noise).then(|| Warning {
+        code: "noisy-reference".into(),
+        message: format!(
+            "the reference has {} of noise after {} paths a texel, not {}: more --paths would make it quieter",
+            percent(known.noise),
+            known.paths,
+            percent(wanted.noise)
+        ),
     })
 }
 
@@ -170,8 +184,7 @@ pub(super) fn whole_light(base: &Settings) -> Settings {
 
 /// The law of a series.
 fn law(series: &Series, points: &[Point]) -> Option<Fit> {
-    let own = points.iter().filter(|p| p.series == series.name);
-    Fit::of(&own.map(|p| (p.x, p.score.rmse)).collect::<Vec<_>>())
+    Fit::of_series(&points.iter().filter(|p| p.series == series.name).collect::<Vec<_>>())
 }
 
 /// The files of a report as they grow.
@@ -287,10 +300,10 @@ pub fn conclusions(findings: &Findings) -> String {
             fitted(|f| format!("{:.2}", f.order)),
             fitted(|f| percent(f.floor)),
             known(a.now),
-            known(a.doubled),
+            a.doubled.map_or("-".into(), percent),
         ]);
     }
-    let together = findings.fits.iter().find(|(name, _)| name == "together").map(|(_, fit)| {
+    let together = findings.fits.iter().find(|(name, _)| name == series::TOGETHER).map(|(_, fit)| {
         format!(
             "All settings together: order {:.2} in voxels along a side, down to {}.\n",
             fit.order,
@@ -306,10 +319,13 @@ fn markdown(findings: &Findings, notes: &[String]) -> String {
     for note in notes {
         text += &format!("{note}\n");
     }
+    for warning in &findings.warnings {
+        text += &format!("Warning: {}\n", warning.message);
+    }
     text += &format!(
         "\nReference: path tracing, {texels} texels, {paths} paths each, mean irradiance {mean:.4e} lux, noise {}. RMSE \
-         with that noise taken off and its 95 % confidence interval; shares of the mean irradiance.\n\n{}\n## What limits the \
-         error\n\n{}\n",
+         with that noise taken off and its 95 % confidence interval, p95 with that noise in it; shares of the mean \
+         irradiance.\n\n{}\n## What limits the error\n\n{}\n",
         percent(noise),
         points_table(&findings.points),
         conclusions(findings)

@@ -15,7 +15,7 @@ use crate::store::{Key, Kind, Reader, Store};
 use crate::verify::sample::{Drawn, Holds, Population, Sum, walk};
 use crate::verify::y;
 
-/// Paths a texel and round.
+/// Paths a texel and round; the last one may have fewer.
 pub const ROUND: u32 = 1024;
 
 /// Mixed into the seeds of draws and rounds, which have nothing to do with a bake's own or a verification's.
@@ -99,26 +99,28 @@ pub fn truth(
     let key = keys::version(Digest::new("reference")).text(purpose).bytes(&lab.identity()).slice(&numbers).done();
     let read = |body: &mut Reader| artefact::body::<(u32, Vec<Sum>)>(body);
     let stored = store.and_then(|store| store.get(Kind::Reference, &key, read));
-    let mut rounds = 0;
-    if let Some((walked, sums)) = stored.filter(|(_, sums)| sums.len() == texels.len()) {
-        rounds = walked;
+    let mut walked = 0;
+    if let Some((paths, sums)) = stored.filter(|(_, sums)| sums.len() == texels.len()) {
+        walked = paths;
         texels.iter_mut().zip(sums).for_each(|(d, sum)| d.sums[0] = sum);
     }
     let reference = Reference::new(lab.rays, Options::default());
-    let most = how.paths.div_ceil(ROUND).max(1);
+    let most = how.paths.max(1);
     loop {
         let known = |d: &Drawn| Known { texel: d.texel, weight: d.weight, light: d.expected(HOLDS) };
-        let truth = Truth { points: texels.iter().map(known).collect(), paths: rounds * ROUND, key };
+        let truth = Truth { points: texels.iter().map(known).collect(), paths: walked, key };
         // One round alone says nothing about a light that it may have missed.
-        if texels.is_empty() || rounds >= most || (rounds >= 2 && truth.noise() <= how.noise) {
+        if texels.is_empty() || walked >= most || (walked >= 2 * ROUND && truth.noise() <= how.noise) {
             return Ok(truth);
         }
         progress.begin("reference", texels.len() as u64);
-        walk(&reference, &mut texels, (ROUND, SEED + u64::from(rounds)), progress)?;
-        rounds += 1;
+        // Rounds are told apart by the paths before them.
+        let paths = ROUND.min(most - walked);
+        walk(&reference, &mut texels, (paths, SEED + u64::from(walked)), progress)?;
+        walked += paths;
         if let Some(store) = store {
             let sums: Vec<Sum> = texels.iter().map(|d| d.sums[0]).collect();
-            store.put(Kind::Reference, &key, |out| artefact::put_value(out, &(rounds, &sums)));
+            store.put(Kind::Reference, &key, |out| artefact::put_value(out, &(walked, &sums)));
         }
     }
 }

@@ -78,6 +78,11 @@ fn rotation(seed: u64) -> DQuat {
 /// Bounds on |v|² of the integer sets, with their counts.
 const INTEGER_SETS: [(i32, u32); 5] = [(3, 26), (9, 98), (11, 146), (17, 266), (29, 578)];
 
+/// The number of directions nearest to `count` of which there is an integer set.
+pub fn nearest_integer_set(count: u32) -> u32 {
+    INTEGER_SETS.iter().map(|(_, n)| *n).min_by_key(|n| n.abs_diff(count)).unwrap_or(count)
+}
+
 fn integer(count: u32) -> Vec<(DVec3, f64)> {
     let bound = INTEGER_SETS.iter().rev().find(|(_, n)| *n <= count).unwrap_or(&INTEGER_SETS[0]).0;
     let reach = f64::from(bound).sqrt() as i32;
