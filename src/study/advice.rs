@@ -62,7 +62,7 @@ pub fn verdict(list: &[Advice]) -> String {
     };
     let swept: Vec<&str> = list.iter().map(|a| a.setting.as_str()).collect();
     if swept.len() + 1 < names().count() {
-        return format!("of {}: {sentence}", swept.join(", "));
+        return format!("{sentence} (swept: {} alone)", swept.join(", "));
     }
     sentence
 }
@@ -70,7 +70,7 @@ pub fn verdict(list: &[Advice]) -> String {
 fn of(base: &Settings, series: &Series, points: &[Point]) -> Option<Advice> {
     let field = Field::find(&series.name)?;
     let value = (field.get)(base);
-    let own: Vec<&Point> = points.iter().filter(|p| p.series == series.name).collect();
+    let mut own: Vec<&Point> = points.iter().filter(|p| p.series == series.name).collect();
     let as_it_is = points.iter().find(|p| p.series == BASE);
     let x = match as_it_is {
         // Voxels that are not told by their number have one all the same.
@@ -81,6 +81,10 @@ fn of(base: &Settings, series: &Series, points: &[Point]) -> Option<Advice> {
     // here where none of the finer values that were tried is better by a twentieth: then it comes from coarser ones.
     let finer = own.iter().filter(|p| p.x > 1.01 * x).map(|p| p.score.rmse).min_by(f64::total_cmp);
     let falls_on = finer.zip(as_it_is).is_none_or(|(finer, base)| finer < 0.95 * base.score.rmse);
+    // The settings as they are have their place in every series.
+    let here = as_it_is.filter(|_| x > 0.0 && own.iter().all(|p| (p.x / x - 1.0).abs() > 0.01));
+    let here = here.map(|base| Point { x, ..base.clone() });
+    own.extend(&here);
     let fit = Fit::of_series(&own).filter(|_| x > 0.0 && falls_on);
     let at = |x: f64| fit.map_or(0.0, |fit| fit.error(x));
     let share = fit.map_or(0.0, |fit| (fit.own(x) / fit.error(x)).powi(2));
@@ -140,7 +144,7 @@ mod tests {
         assert!(verdict(&list).starts_with("voxel size dominates"), "{}", verdict(&list));
         // What nobody looked at is not said to be less.
         let few = verdict(&list[..2]);
-        assert!(few.starts_with("of voxels, ") && few.contains(": voxel size dominates"), "{few}");
+        assert!(few.starts_with("voxel size dominates") && few.contains("(swept: voxels, "), "{few}");
         assert!(verdict(&[]).starts_with("no setting was swept"));
     }
 

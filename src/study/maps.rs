@@ -25,7 +25,7 @@ use crate::bake::{
 use crate::settings::Settings;
 use crate::store::{Kind, Reader, Store};
 
-/// Side of the atlas that is mapped, where it holds the scene: every texel takes paths.
+/// Side of a mapped atlas: every texel takes paths.
 const SIDE: u32 = 96;
 
 /// Pixels along the side of a page, about.
@@ -45,13 +45,17 @@ const WALKS: usize = 1 << 26;
 
 const NOTHING: [u8; 3] = [96, 96, 96];
 
-/// The place of the texels of the bake that is mapped. Who asks for a larger atlas than the report's usual one has it.
+/// Side of the atlas that is mapped, if it holds the scene. Who asks for a larger one than the report's usual one has it.
+pub fn side(base: &Settings) -> u32 {
+    if base.size.0 > super::budget::SIDE { base.size.0 } else { SIDE }
+}
+
+/// The place of the texels of the bake that is mapped.
 ///
 /// # Errors
 /// As a bake.
 pub fn lay_out(scene: &Scene, base: &Settings, store: &Store, progress: &dyn Progress) -> Result<Small, Error> {
-    let side = if base.size.0 > super::budget::SIDE { base.size.0 } else { SIDE };
-    small::lay_out(scene, base, (side, base.size.0.max(side)), Some(store), progress)
+    small::lay_out(scene, base, (side(base), base.size.0.max(side(base))), Some(store), progress)
 }
 
 /// The picture as PNG: baked, reference, difference. The laboratory's settings are those with which the atlas was laid out.

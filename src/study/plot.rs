@@ -7,6 +7,9 @@ use plotters::prelude::*;
 use super::Point;
 use super::series::{BASE, TOGETHER, names};
 
+/// Labels of an axis, about: more than the powers of ten where these are few.
+const LABELS: usize = 16;
+
 /// Size of a plot [pixels].
 const SIZE: (u32, u32) = (880, 560);
 
@@ -133,6 +136,8 @@ fn paint<'s>(
         .configure_mesh()
         .x_desc(axis)
         .y_desc("RMSE over the mean irradiance")
+        .x_labels(LABELS)
+        .y_labels(LABELS)
         .x_label_formatter(&|x| short(*x))
         .y_label_formatter(&|y| format!("{} %", short(100.0 * y)))
         .label_style(("sans-serif", 13))

@@ -15,7 +15,7 @@ use super::fit::Fit;
 use super::measure::Measure;
 use super::point::csv;
 use super::series::{self, Series};
-use super::small::Small;
+use super::small::{self, Small};
 use super::table::{self, Column};
 use super::truth::{self, Exactness};
 use super::{Point, Score, maps, plot};
@@ -105,13 +105,13 @@ pub fn study(
     all.extend(series::methods(base, is_wanted));
     all.extend(sweeps.iter().cloned());
     let columns = if order.table { table::settings(base, scene.triangle_count()).into() } else { Vec::new() };
-    let map = order.maps.then(|| maps::lay_out(scene, base, store, progress)).transpose()?;
-    let mapped = map.as_ref().map(|small| &small.settings);
+    let mapped = order.maps.then(|| small::sized(base, maps::side(base)));
     // What does not fit is told before the hours that the rest may take.
     let attempts = all.iter().flat_map(|s| &s.attempts).map(|attempt| attempt.needs(scene));
-    let bakes = columns.iter().map(|(_, settings)| settings).chain(mapped);
+    let bakes = columns.iter().map(|(_, settings)| settings).chain(&mapped);
     let needs = attempts.chain(bakes.map(|settings| needs::bake(scene, settings)));
     let warnings = Vec::from_iter(memory::check(&needs.fold(Memory::default(), Memory::max))?);
+    let map = order.maps.then(|| maps::lay_out(scene, base, store, progress)).transpose()?;
     Lab::with(scene, base, None, progress, |lab| {
         let (atlas, _) = lab::lay_out(scene, base, Some(store), progress)?;
         let texels = truth::texels(lab, &atlas, order.exactness.texels);
