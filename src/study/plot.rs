@@ -7,9 +7,6 @@ use plotters::prelude::*;
 use super::Point;
 use super::series::{BASE, TOGETHER, names};
 
-/// Labels of an axis, about: more than the powers of ten where these are few.
-const LABELS: usize = 16;
-
 /// Size of a plot [pixels].
 const SIZE: (u32, u32) = (880, 560);
 
@@ -101,6 +98,14 @@ fn range(values: impl Iterator<Item = f64> + Clone) -> (f64, f64) {
     if lo.is_finite() && hi > 0.0 { (lo / 1.4, hi * 1.4) } else { (0.1, 1.0) }
 }
 
+/// 1, 2 and 5 times the powers of ten in a range; of a wide one the powers alone.
+fn ticks((lo, hi): (f64, f64)) -> Vec<f64> {
+    let steps: &[f64] = if hi / lo > 3e4 { &[1.0] } else { &[1.0, 2.0, 5.0] };
+    let powers = lo.log10().floor() as i32..=hi.log10().floor() as i32;
+    let all = powers.flat_map(|power| steps.iter().map(move |step| step * 10f64.powi(power)));
+    all.filter(|tick| (lo..=hi).contains(tick)).collect()
+}
+
 fn draw(title: &str, axis: &str, lines: &[Line], front: &[(f64, f64)], noise: f64) -> Result<String, String> {
     let mut svg = String::new();
     {
@@ -131,18 +136,18 @@ fn paint<'s>(
         .margin(14)
         .x_label_area_size(46)
         .y_label_area_size(64)
-        .build_cartesian_2d((x.0..x.1).log_scale(), (y.0..y.1).log_scale())?;
+        .build_cartesian_2d(
+            (x.0..x.1).log_scale().with_key_points(ticks(x)),
+            (y.0..y.1).log_scale().with_key_points(ticks(y)),
+        )?;
     chart
         .configure_mesh()
         .x_desc(axis)
         .y_desc("RMSE over the mean irradiance")
-        .x_labels(LABELS)
-        .y_labels(LABELS)
         .x_label_formatter(&|x| short(*x))
         .y_label_formatter(&|y| format!("{} %", short(100.0 * y)))
         .label_style(("sans-serif", 13))
         .axis_desc_style(("sans-serif", 15))
-        .light_line_style(RGBColor(238, 238, 238))
         .bold_line_style(RGBColor(215, 215, 215))
         .draw()?;
     if !front.is_empty() {
@@ -211,6 +216,12 @@ mod tests {
         assert!(svg.starts_with("<svg") && svg.contains("path tracing") && svg.contains("Pareto front"));
         assert!(front("nothing", &[], 0.0).unwrap().starts_with("<svg"));
         assert!(sweeps("nothing", &[], 0.0).unwrap().starts_with("<svg"));
+    }
+
+    #[test]
+    fn ticks_are_where_the_range_is() {
+        assert_eq!(ticks((0.016, 0.21)).iter().map(|t| short(*t)).collect::<Vec<_>>(), ["0.02", "0.05", "0.1", "0.2"]);
+        assert_eq!(ticks((0.5, 90_000.0)).len(), 5);
     }
 
     #[test]
