@@ -9,7 +9,8 @@
 //! | look-up | [`lookup`] | the cache itself, interpolated | that of the voxels |
 //!
 //! All but the photon map read one [`field::Field`]: rays, surfels and the irradiance at them. [`refresh`] feeds a final gather at the
-//! surfels back into the cache; [`nodes`] evaluate any mode at few texels and interpolate between them.
+//! surfels back into the cache; [`nodes`] evaluate any mode at few texels and interpolate between them. Random sample
+//! voxels know their noise, which [`crate::methods::RandomVoxels`] tells.
 //!
 //! Indirect light here is what surfaces reflect. All but the look-up leave out the sky as seen from the receiver
 //! itself (a ray that escapes brings nothing); the look-up reads a cache that already contains it.

@@ -17,8 +17,8 @@
 //!
 //! **Two sets.** Draws are points of a Kronecker sequence of the golden ratio through the tree's order, shifted at random
 //! for each receiver and set: two independent estimates a and b without bias. The result is their mean, and |a − b|/2
-//! the standard error of it, from one degree of freedom. Draw i depends on the receiver and the set alone, so further
-//! passes only add ([`Tally`]).
+//! the standard error of it, from one degree of freedom. Draw i depends on the receiver and the set alone, so more passes
+//! begin with those of fewer ([`Tally`]).
 //!
 //! K = min(G, b) and the near rays are those of lightcuts (see `near`); each pass of a set has its own.
 
@@ -27,7 +27,7 @@ use luxel_scene::{Cancelled, Progress, Silent};
 use rayon::prelude::*;
 
 use super::{
-    Field, Gather, Gathered, Receiver,
+    Field, Receiver,
     near::{NearField, cap},
 };
 use crate::{
@@ -80,10 +80,6 @@ impl Tally {
         ((a - b).abs() / (2.0 * f64::from(self.passes))) as f32
     }
 
-    pub fn passes(&self) -> u32 {
-        self.passes
-    }
-
     /// Continuous rays spent.
     pub fn rays(&self) -> u32 {
         self.rays
@@ -109,36 +105,31 @@ impl<'a> VoxelSamples<'a> {
         Ok(Self { field, tree, near: NearField::new(NEAR_RAYS), cap, passes: passes.max(1) })
     }
 
-    /// Adds `passes` to the tallies of all receivers, which come in their order. Reports one unit of progress per
-    /// receiver.
-    ///
-    /// # Errors
-    /// When the work is cancelled; the tallies are then as they were, or further, receiver by receiver.
-    pub fn add(
-        &self,
-        receivers: &[Receiver],
-        tallies: &mut [Tally],
-        passes: u32,
-        progress: &dyn Progress,
-    ) -> Result<(), Cancelled> {
-        receivers.par_iter().zip(tallies).try_for_each(|(receiver, tally)| {
-            for _ in 0..passes {
-                progress.check()?;
-                self.pass(receiver, tally);
-            }
-            progress.advance(1);
-            Ok(())
-        })
+    /// The passes that this gather was made for.
+    pub fn passes(&self) -> u32 {
+        self.passes
     }
 
-    /// The tallies of all receivers after the passes that this gather was made for.
+    /// The tallies of all receivers after so many passes, in their order. Reports one unit of progress per receiver.
     ///
     /// # Errors
     /// When the work is cancelled.
-    pub fn tallies(&self, receivers: &[Receiver], progress: &dyn Progress) -> Result<Vec<Tally>, Cancelled> {
-        let mut tallies = vec![Tally::default(); receivers.len()];
-        self.add(receivers, &mut tallies, self.passes, progress)?;
-        Ok(tallies)
+    pub fn tallies(
+        &self,
+        receivers: &[Receiver],
+        passes: u32,
+        progress: &dyn Progress,
+    ) -> Result<Vec<Tally>, Cancelled> {
+        let one = |receiver| {
+            let mut tally = Tally::default();
+            for _ in 0..passes {
+                progress.check()?;
+                self.pass(receiver, &mut tally);
+            }
+            progress.advance(1);
+            Ok(tally)
+        };
+        receivers.par_iter().map(one).collect()
     }
 
     /// One more pass of both sets.
@@ -219,13 +210,6 @@ impl<'a> VoxelSamples<'a> {
             return reflected.as_dvec3();
         }
         (reflected * self.field.rays.transmittance(origin, d / distance, distance)).as_dvec3()
-    }
-}
-
-impl Gather for VoxelSamples<'_> {
-    fn gather(&self, receivers: &[Receiver], progress: &dyn Progress) -> Result<Vec<Gathered>, Cancelled> {
-        let gathered = |t: &Tally| Gathered { irradiance: t.irradiance(), rays: t.rays, ..Gathered::default() };
-        Ok(self.tallies(receivers, progress)?.iter().map(gathered).collect())
     }
 }
 

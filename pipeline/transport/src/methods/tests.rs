@@ -13,7 +13,7 @@ use luxel_scene::{LightKind, Scene, Silent, Sky, build::Builder};
 use super::*;
 use crate::{
     direct::{Direct, DirectSettings, Visibility},
-    gather::{Field, Gather, Lightcuts, PhotonMap, VoxelSamples, lightcuts, photon_map, voxel_samples},
+    gather::{Field, Gather, Lightcuts, PhotonMap, VoxelSamples, lightcuts, photon_map},
     geometry::Geometry,
     lights::Emitters,
     rays::Rays,

@@ -60,21 +60,13 @@ fn errors_fall_with_the_root_of_the_work() {
         let receivers = receivers(world.geometry, 60);
         let samples = VoxelSamples::new(world.field, 1);
         let spread = |passes: u32| {
-            let mut tallies = vec![voxel_samples::Tally::default(); receivers.len()];
-            samples.add(&receivers, &mut tallies, passes, &Silent).unwrap();
-            let errors = moments(tallies.iter().map(|t| f64::from(t.error()))).1;
-            (errors, tallies)
+            let tallies = samples.tallies(&receivers, passes, &Silent).unwrap();
+            moments(tallies.iter().map(|t| f64::from(t.error()))).1
         };
-        let ((few, _), (many, tallies)) = (spread(4), spread(64));
+        let (few, many) = (spread(4), spread(64));
         println!("random voxels: 16 times the draws leave 1/{:.2} of the error", few / many);
         // Independent draws leave 1/4; points of a sequence do better, at best in proportion to their number.
         assert!((2.8..20.0).contains(&(few / many)), "{few} {many}");
-        // Passes only add: in two goes or in one, bit by bit.
-        let mut again = vec![voxel_samples::Tally::default(); receivers.len()];
-        for passes in [10, 54] {
-            samples.add(&receivers, &mut again, passes, &Silent).unwrap();
-        }
-        assert_eq!(again, tallies);
         // Nearer than 3 h to another surface the noise stays as the region shrinks: only points away from all others.
         let all = super::receivers(world.geometry, 600);
         let open: Vec<Receiver> = all.into_iter().filter(|r| is_open(world, r)).take(60).collect();
