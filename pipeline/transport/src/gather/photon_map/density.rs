@@ -63,7 +63,7 @@ struct Estimate {
 
 impl Density {
     pub fn new(rays: &Rays, deposits: &[Deposit], progress: &dyn Progress) -> Result<Self, Cancelled> {
-        let tree = Nearest::new(deposits.iter().map(|d| d.light.light.position), progress)?;
+        let mut tree = Nearest::new(deposits.iter().map(|d| d.light.light.position), progress)?;
         let maker = Maker { rays, deposits, tree: &tree };
         let chunks = deposits.par_chunks(CHUNK).enumerate().map(|(chunk, part)| {
             let mut found = Vec::with_capacity(COUNT);
@@ -72,6 +72,7 @@ impl Density {
             Ok((first..first + part.len() as u32).map(|i| maker.estimate(i, &mut found)).collect())
         });
         let points = chunks.collect::<Result<Vec<Vec<Estimate>>, Cancelled>>()?.concat();
+        tree.bound(|i| points[i as usize].radius * points[i as usize].radius);
         Ok(Self { tree, points })
     }
 

@@ -3,6 +3,7 @@
 //!
 //! A range of the order is a subtree: its middle is the root, what lies before it the half below, what lies behind the
 //! half above. Points at equal distance are told apart by their numbers, so the answer does not depend on the layout.
+//! A search leaves out subtrees that lie farther off than what it has found, or than any of their points reaches.
 
 use glam::Vec3;
 use luxel_scene::{Cancelled, Progress};
@@ -30,6 +31,8 @@ struct Place {
     at: Vec3,
     point: u32,
     axis: u8,
+    /// Largest square reach of the points of its subtree.
+    reach: f32,
 }
 
 /// The tree.
@@ -39,10 +42,15 @@ pub(super) struct Nearest {
 
 impl Nearest {
     pub fn new(points: impl Iterator<Item = Vec3>, progress: &dyn Progress) -> Result<Self, Cancelled> {
-        let mut order: Vec<Place> =
-            points.zip(0..).map(|(at, point)| Place { at: at + Vec3::ZERO, point, axis: 0 }).collect();
+        let place = |(at, point)| Place { at: at + Vec3::ZERO, point, axis: 0, reach: f32::INFINITY };
+        let mut order: Vec<Place> = points.zip(0..).map(place).collect();
         split(&mut order, progress)?;
         Ok(Self { order })
+    }
+
+    /// Says how far every point reaches, as a square distance: no search from beyond that may accept it.
+    pub fn bound(&mut self, reach: impl Fn(u32) -> f32) {
+        spread(&mut self.order, &reach);
     }
 
     /// The up to `count` nearest points within the square distance `reach` that `accept` takes, nearest first, in
@@ -50,7 +58,7 @@ impl Nearest {
     pub fn find(&self, from: Vec3, count: usize, reach: f32, accept: impl Fn(u32) -> bool, found: &mut Vec<Found>) {
         found.clear();
         if count > 0 {
-            Search { from, count, reach, accept, found }.look(&self.order);
+            Search { from, count, reach, accept, found }.look(&self.order, Vec3::ZERO);
         }
     }
 }
@@ -78,6 +86,14 @@ fn split(order: &mut [Place], progress: &dyn Progress) -> Result<(), Cancelled> 
     }
 }
 
+/// Sets the reaches of a subtree; returns the largest.
+fn spread(order: &mut [Place], reach: &impl Fn(u32) -> f32) -> f32 {
+    let (below, rest) = order.split_at_mut(order.len() / 2);
+    let Some((root, above)) = rest.split_first_mut() else { return 0.0 };
+    root.reach = reach(root.point).max(spread(below, reach)).max(spread(above, reach));
+    root.reach
+}
+
 struct Search<'s, A> {
     from: Vec3,
     count: usize,
@@ -87,21 +103,26 @@ struct Search<'s, A> {
 }
 
 impl<A: Fn(u32) -> bool> Search<'_, A> {
-    fn look(&mut self, order: &[Place]) {
+    /// Looks through a subtree that lies so far off along every axis, at least.
+    fn look(&mut self, order: &[Place], off_axes: Vec3) {
         let middle = order.len() / 2;
         let Some(root) = order.get(middle) else { return };
+        // Rounding is monotone, so this is no more than the distance that any of the points is found to have.
+        if off_axes.length_squared() > self.limit().min(root.reach) {
+            return;
+        }
         let axis = usize::from(root.axis);
         let off = self.from[axis] - root.at[axis];
         let (near, far) =
             if off < 0.0 { (&order[..middle], &order[middle + 1..]) } else { (&order[middle + 1..], &order[..middle]) };
-        self.look(near);
+        self.look(near, off_axes);
         let candidate = Found { square: root.at.distance_squared(self.from), point: root.point };
         if candidate.square <= self.limit() && (self.accept)(root.point) {
             self.take(candidate);
         }
-        if off * off <= self.limit() {
-            self.look(far);
-        }
+        let mut beyond = off_axes;
+        beyond[axis] = off;
+        self.look(far, beyond);
     }
 
     /// The square distance beyond which nothing is of use any more.
@@ -152,6 +173,31 @@ mod tests {
             all.truncate(count);
             tree.find(from, count, reach, accept, &mut found);
             assert_eq!(found, all);
+        }
+    }
+
+    /// A point whose reach does not hold the place is no answer, and what is far from all that reach it is not looked at.
+    #[test]
+    fn points_that_reach_a_place_are_found_without_a_look_at_the_others() {
+        let points = cloud(3000);
+        let reach = |p: u32| 0.01 + (p % 5) as f32 * 0.3;
+        let mut tree = Nearest::new(points.iter().copied(), &Silent).unwrap();
+        tree.bound(reach);
+        let mut found = Vec::new();
+        for i in 0..200u64 {
+            let from = Vec3::splat(16.0) * Vec3::new(unit(mix(i)), unit(mix(i + 500)), unit(mix(i + 900)));
+            let square = |p: u32| points[p as usize].distance_squared(from);
+            let holds = |p: u32| square(p) <= reach(p) && !p.is_multiple_of(3);
+            let nearest = (0..3000).filter(|p| holds(*p)).map(|point| Found { square: square(point), point });
+            let nearest = nearest.min_by(|a, b| a.square.total_cmp(&b.square).then(a.point.cmp(&b.point)));
+            let asked = std::cell::Cell::new(0);
+            let accept = |p: u32| {
+                asked.set(asked.get() + 1);
+                holds(p)
+            };
+            tree.find(from, 1, f32::INFINITY, accept, &mut found);
+            assert_eq!(found.first().copied(), nearest);
+            assert!(asked.get() < 300, "{} of 3000", asked.get());
         }
     }
 
