@@ -17,8 +17,9 @@ use luxel_export::{OutputSet, report::StageState};
 use luxel_scene::{Light, LightKind, Progress, Scene, Silent, build::Builder};
 use luxel_transport::{
     Rgb,
-    gather::{Field, Lightcuts, lightcuts},
+    gather::{Field, Lightcuts, PhotonMap, lightcuts, photon_map},
     geometry::Geometry,
+    lights::Emitters,
     octree::{self, Octree},
     rays::Rays,
     solve::{SolveReport, SolveSettings, solve},
@@ -103,6 +104,25 @@ fn solved(surfels: &Surfels, settings: &SolveSettings) -> (f64, Solution, SolveR
         solve(surfels, &direct, settings, None, &Silent).expect("a solution")
     });
     (bytes as f64 / count + size_of_val(&surfels.list[0]) as f64, solution, report)
+}
+
+#[test]
+fn an_arrival_of_a_photon() {
+    let _alone = alone();
+    let scene = luxel_assets::cornell();
+    let geometry = Geometry::new(&scene);
+    let (rays, emitters) = (Rays::new(&geometry), Emitters::new(&geometry));
+    on_two_threads(|| {
+        // Lists double as they grow, so that it depends on their length how much of them is empty.
+        let each = |photons| {
+            let settings = photon_map::Settings { photons, ..photon_map::Settings::default() };
+            let (map, bytes) = peak_bytes(|| PhotonMap::new(&rays, &emitters, settings));
+            bytes as f64 / map.facts().arrivals as f64
+        };
+        let each = [18_000, 22_000, 26_000, 30_000].map(each);
+        println!("an arrival of a photon: {each:.1?} bytes");
+        assert!(each.iter().all(|each| *each < 320.0), "{each:?}");
+    });
 }
 
 #[test]

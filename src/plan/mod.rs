@@ -7,7 +7,7 @@
 mod memory;
 
 use luxel_export::report::Warning;
-use luxel_scene::{LightKind, Material, Scene};
+use luxel_scene::{Instance, LightKind, Material, Scene};
 use luxel_transport::solve::SolveSettings;
 use serde::Serialize;
 
@@ -221,13 +221,7 @@ impl Facts {
             facts.black &= is_black(material);
             facts.bright |= f64::from(material.base_color.truncate().max_element()) > SolveSettings::default().stiff;
             facts.passable |= !material.is_opaque();
-            facts.area += (0..mesh.triangles.len())
-                .map(|t| {
-                    let [a, b, c] =
-                        scene.corners(instance.mesh, t).map(|p| instance.transform.transform_point3(p.as_dvec3()));
-                    0.5 * (b - a).cross(c - a).length()
-                })
-                .sum::<f64>();
+            facts.area += area(scene, instance);
         }
         facts.grey = is_grey(scene, &used);
         facts
@@ -254,6 +248,15 @@ impl Facts {
         .collect();
         parts.join(", ")
     }
+}
+
+/// World area of an instance's triangles, in squared scene units.
+pub fn area(scene: &Scene, instance: &Instance) -> f64 {
+    let triangle = |t| {
+        let [a, b, c] = scene.corners(instance.mesh, t).map(|p| instance.transform.transform_point3(p.as_dvec3()));
+        0.5 * (b - a).cross(c - a).length()
+    };
+    (0..scene.meshes[instance.mesh].triangles.len()).map(triangle).sum()
 }
 
 /// No texel of the material can reflect anything.

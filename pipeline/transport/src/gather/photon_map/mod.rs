@@ -44,7 +44,8 @@ use crate::{
 /// How photons are traced and gathered.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Settings {
-    /// Photons from all lights and the sky together, about; each leaves as many arrivals as it meets surfaces.
+    /// Photons from all lights and the sky together, about; each leaves as many arrivals as it meets surfaces, as far as
+    /// [`most_arrivals`] lets it.
     pub photons: u32,
     /// Largest bound of a cluster, as a share of the total.
     pub threshold: f32,
@@ -67,12 +68,17 @@ impl Default for Settings {
 pub struct Facts {
     /// Photons sent.
     pub photons: u64,
-    /// Their arrivals on surfaces.
+    /// Their arrivals on surfaces that are kept.
     pub arrivals: u64,
     /// Rays that followed them.
     pub rays: u64,
     /// Where their flux went.
     pub ledger: Ledger,
+}
+
+/// Arrivals that a map of so many photons keeps, at most.
+pub fn most_arrivals(photons: u32) -> u64 {
+    trace::most(photons)
 }
 
 /// Gathers what photons brought.

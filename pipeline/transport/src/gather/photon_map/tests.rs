@@ -130,6 +130,39 @@ fn roulette_ends_photons_as_albedo_says() {
     }
 }
 
+/// In a bright closed room a photon arrives a thousand times, and every light sends some: what is kept is bounded all the
+/// same, and adds up to what arrives.
+#[test]
+fn arrivals_are_bounded_and_those_that_are_kept_stand_for_all() {
+    let albedo = 0.995f32;
+    let mut b = Builder::new("box");
+    let hot = b.emitter(Vec3::splat(albedo), Vec3::ONE);
+    b.cuboid("box", Vec3::ZERO, Vec3::ONE, hot, true);
+    let room = b.build();
+    for (photons, kept) in [(4000, 64_000), (1, 16_384)] {
+        let (deposits, ledger) = traced(&room, photons);
+        let arrived: DVec3 = deposits.iter().map(|d| d.1).sum();
+        let expected = ledger.emitted.x / (1.0 - f64::from(albedo));
+        println!("{} of {} arrivals: {}", deposits.len(), photons, arrived.x / expected);
+        assert!(deposits.len() <= kept && deposits.len() > kept / 3, "{}", deposits.len());
+        assert_eq!(most_arrivals(photons), kept as u64);
+        // Lengths of walks are geometric: their mean spreads as the root of their number, 96 of a single one.
+        let spread = 4.0 / f64::from(photons.max(96)).sqrt();
+        assert!((arrived.x / expected - 1.0).abs() < spread, "{arrived} {expected}");
+        assert!(ledger.imbalance().abs().max_element() < 1e-6 * ledger.emitted.x, "{ledger:?}");
+    }
+    // Four thousand lamps instead of one photon.
+    let mut b = floor(0.5);
+    for i in 0..4000 {
+        let position = DVec3::new(f64::from(i) * 5e-4 - 1.0, 0.2, 0.0);
+        b.light("lamp", LightKind::Point { position, range: None, radius: 0.0 }, Vec3::ONE);
+    }
+    let (deposits, ledger) = traced(&b.build(), 1);
+    assert!(deposits.len() <= 16_384 && deposits.len() > 5_000, "{}", deposits.len());
+    let arrived: DVec3 = deposits.iter().map(|d| d.1).sum();
+    assert!(close(arrived.x, 2.0 * ledger.absorbed.x, 0.05), "{arrived} {ledger:?}");
+}
+
 /// The bias of the density, in an evenly lit box: in the middle of walls and within a twentieth of an edge.
 #[test]
 fn the_density_of_photons_is_the_irradiance_up_to_edges_and_corners() {

@@ -11,6 +11,10 @@
 //! band mean of a photon never changes, and the books of the mean close for every single photon. Bands of their own
 //! close in the mean only. Backs of single-sided surfaces reflect nothing. Every arrival is deposited before the
 //! roulette, so a deposit is light that a surface receives, whatever becomes of it.
+//!
+//! **Memory.** A photon arrives 1/(1 − ρ) times in the mean, which has no end as ρ comes near 1, and every light sends some.
+//! So no more deposits are kept than [`most`]: whenever there would be, every second one goes by lot, and the others count
+//! twice. Each lot is fair whatever was drawn before, so that has no bias.
 
 use glam::{DVec3, Vec3};
 use luxel_scene::{Cancelled, Progress};
@@ -36,6 +40,20 @@ const DIRECTIONS: u32 = 16;
 
 /// Surfaces that one photon meets at most. In a closed room of albedo 0.999 one photon in 20 000 meets so many.
 const MEETINGS: u64 = 10_000;
+
+/// Deposits that are kept of every photon that was asked for, at most: above an albedo of 15/16, not all are.
+const KEPT: u64 = 16;
+
+/// Fewer photons than these keep as many deposits.
+const FEW: u32 = 1024;
+
+/// Most jobs that share out the deposits of all, twice over: a group of them takes some times the memory of what is kept.
+const SHARES: usize = 32;
+
+/// Deposits of a map of so many photons, at most.
+pub(super) fn most(photons: u32) -> u64 {
+    KEPT * u64::from(photons.max(FEW))
+}
 
 /// Where the flux of the photons went [lm].
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -76,14 +94,49 @@ pub(super) struct Deposit {
     pub flux: Rgb,
 }
 
+impl Deposit {
+    /// Lots that it draws before the one that removes it.
+    fn lots(&self) -> u32 {
+        mix(self.light.seed ^ 0x6c6f_7473).trailing_ones()
+    }
+}
+
 /// All deposits and their books.
 #[derive(Default)]
 pub(super) struct Traced {
     pub deposits: Vec<Deposit>,
+    /// Times that deposits have drawn lots: those that are left count twice as much each time.
+    draws: u32,
     pub ledger: Ledger,
     /// Photons sent, and rays that followed them.
     pub photons: u64,
     pub rays: u64,
+}
+
+impl Traced {
+    /// Has all deposits have drawn lots so many times, at least.
+    fn draw(&mut self, draws: u32) {
+        if draws > self.draws {
+            self.draws = draws;
+            self.deposits.retain(|deposit| deposit.lots() >= draws);
+        }
+    }
+
+    /// Has them draw until no more are left than `most`.
+    fn thin(&mut self, most: u64) {
+        while self.deposits.len() as u64 > most {
+            self.draw(self.draws + 1);
+        }
+    }
+
+    /// Has the deposits count for those that are gone.
+    fn weigh(&mut self) {
+        let factor = libm::exp2f(self.draws as f32);
+        for deposit in &mut self.deposits {
+            deposit.flux *= factor;
+            deposit.light.light.intensity *= factor;
+        }
+    }
 }
 
 /// Traces about `photons` photons from all lights and the sky; `seed` makes independent maps.
@@ -102,30 +155,38 @@ pub(super) fn trace(
         .flat_map(|beam| (0..beam.primary).step_by(CHUNK as usize).map(move |first| (beam, first)))
         .collect();
     let mut all = Traced::default();
+    let most = most(photons);
+    let most_of_job = 2 * most / jobs.len().clamp(2, SHARES) as u64;
     // Groups of jobs run in parallel and are put together in order, whatever the number of threads.
     for group in jobs.chunks(64) {
         progress.check()?;
+        let draws = all.draws;
         let parts: Vec<Traced> = group
             .par_iter()
             .map(|&(beam, first)| {
                 progress.check()?;
-                let mut tracer = Tracer { rays, found: Traced::default() };
+                let mut tracer = Tracer { rays, found: Traced { draws, ..Traced::default() } };
                 for k in first..(first + CHUNK).min(beam.primary) {
                     for i in 0..DIRECTIONS {
                         let number = u64::from(k) * u64::from(DIRECTIONS) + u64::from(i);
                         tracer.follow(&beam.photon(k, i, DIRECTIONS), combine(beam.seed, mix(number)));
                     }
+                    tracer.found.thin(most_of_job);
                 }
                 Ok(tracer.found)
             })
             .collect::<Result<_, Cancelled>>()?;
-        for part in parts {
+        for mut part in parts {
+            all.draw(part.draws);
+            part.draw(all.draws);
             all.deposits.extend(part.deposits);
+            all.thin(most);
             all.ledger.add(part.ledger);
             all.photons += part.photons;
             all.rays += part.rays;
         }
     }
+    all.weigh();
     // From lux times squared frame units to lumen.
     let scale = 1.0 / (emitters.scale * emitters.scale);
     all.ledger.parts().into_iter().for_each(|part| *part *= scale);
@@ -202,7 +263,10 @@ impl Tracer<'_> {
             let (position, normal) = place;
             let intensity = (reflected / std::f64::consts::PI).as_vec3();
             let light = Seeded { light: Light { position, normal, intensity, area: 0.0 }, seed: state };
-            self.found.deposits.push(Deposit { light, flux: arriving.as_vec3() });
+            let deposit = Deposit { light, flux: arriving.as_vec3() };
+            if deposit.lots() >= self.found.draws {
+                self.found.deposits.push(deposit);
+            }
         }
         let absorbed = (flux - reflected - passed).max(DVec3::ZERO);
         let all = mean(reflected) + mean(passed) + mean(absorbed);
