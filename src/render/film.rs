@@ -3,7 +3,8 @@
 //! Rays from the eye are cheap, light is dear: every pixel starts with a few samples ([`FIRST`]), and asks for light once
 //! on each surface that they see. Where [`differ`](super::differ) finds an edge, the pixel gets all its samples.
 //! Whose light they take follows from what differs. A pixel's value does not depend on the band that it is in, so
-//! memory is bounded by bands whatever the size of the picture.
+//! memory is bounded by bands whatever the size of the picture; and as bands get their further samples slice by slice, it is
+//! bounded whatever the number of those.
 
 use luxel_export::ToneMap;
 use luxel_scene::{Cancelled, Progress, Uncounted};
@@ -19,6 +20,9 @@ pub const FIRST: u32 = 4;
 
 /// Pixels of a band, about.
 const BAND: u32 = 1 << 12;
+
+/// Samples of the pixels that are refined together, at most; those of one pixel always are.
+const SLICE: u32 = 1 << 16;
 
 /// Width of the blocks in which a band's points are asked for, so that those in a row lie side by side.
 const BLOCK: usize = 32;
@@ -223,32 +227,27 @@ impl Film<'_> {
     /// Finishes rows up to `done`.
     fn refine(&mut self, open: &Open, done: u32) -> Result<(), Cancelled> {
         let screen = self.screen;
-        let begin = open.next;
-        let more = |y: u32| {
-            self.progress.check()?;
-            let row = (0..screen.width).map(|x| self.resampled(open, x, y));
-            Ok(row.collect::<Vec<Option<Pixel>>>())
-        };
-        let mut more: Vec<Vec<Option<Pixel>>> =
-            (begin..done).into_par_iter().map(more).collect::<Result<_, Cancelled>>()?;
-        let mut pixels = Vec::new();
-        for (y, row) in (begin..).zip(&mut more) {
-            let refined = (0..).zip(row).filter_map(|(x, pixel)| Some(((x, y), pixel.as_mut()?)));
-            pixels.extend(refined);
-        }
-        self.ask(&mut pixels)?;
-        for (y, row) in (begin..).zip(&more) {
-            for (x, refined) in row.iter().enumerate() {
-                let pixel = refined.as_ref().unwrap_or(&open.rows[(y - open.top()) as usize][x]);
+        let row = |y| (0..screen.width).map(move |x| (x, y));
+        let places: Vec<(u32, u32)> = (open.next..done).flat_map(row).collect();
+        for slice in places.chunks((SLICE / screen.samples).max(1) as usize) {
+            let more = |&(x, y): &(u32, u32)| {
+                self.progress.check()?;
+                Ok(self.resampled(open, x, y))
+            };
+            let mut more: Vec<Option<Pixel>> = slice.par_iter().map(more).collect::<Result<_, Cancelled>>()?;
+            let refined = slice.iter().zip(&mut more).filter_map(|(place, pixel)| Some((*place, pixel.as_mut()?)));
+            self.ask(&mut refined.collect::<Vec<_>>())?;
+            for (&(x, y), refined) in slice.iter().zip(&more) {
+                let pixel = refined.as_ref().unwrap_or(&open.rows[(y - open.top()) as usize][x as usize]);
                 self.picture.spent.samples += pixel.samples.len() as u64;
                 let Seen { radiance, reflected, error } = pixel.mean();
-                let at = y as usize * screen.width as usize + x;
+                let at = y as usize * screen.width as usize + x as usize;
                 self.picture.radiance[at] = radiance;
                 // A glimpse has no place for these.
                 self.picture.reflected.get_mut(at).into_iter().for_each(|place| *place = reflected);
                 self.picture.error.get_mut(at).into_iter().for_each(|place| *place = error);
             }
-            self.progress.advance(u64::from(screen.width));
+            self.progress.advance(slice.len() as u64);
         }
         Ok(())
     }
@@ -424,6 +423,32 @@ mod tests {
                 assert!(by(rows) == whole, "{rows}");
             }
         });
+    }
+
+    /// The most points that were asked for together, in light with edges everywhere.
+    struct Crowd(AtomicU64);
+
+    impl Illumination for Crowd {
+        fn light(&self, points: &[Point], _: &dyn Progress) -> Result<Vec<Lit>, Cancelled> {
+            self.0.fetch_max(points.len() as u64, Ordering::Relaxed);
+            let lit = |p: &Point| if (p.receiver.position.x * 40.0).sin() > 0.0 { Rgb::ONE } else { Rgb::ZERO };
+            Ok(points.iter().map(|p| Lit { irradiance: lit(p), ..Lit::default() }).collect())
+        }
+    }
+
+    #[test]
+    fn no_number_of_samples_makes_more_of_them_held_together() {
+        let mut b = Builder::new("floor");
+        let white = b.matte(Vec3::splat(0.8));
+        b.quad("floor", Vec3::new(-3.0, -3.0, -1.0), Vec3::X * 6.0, Vec3::Y * 6.0, white);
+        let scene = b.build();
+        for samples in [64, 256] {
+            let crowd = Crowd(AtomicU64::new(0));
+            let spent = show(&scene, samples, &crowd).spent;
+            assert!(spent.samples > u64::from(SIDE * SIDE * samples) * 3 / 4, "{spent:?}");
+            let most = crowd.0.into_inner();
+            assert!(most <= u64::from(SLICE) && (samples < 256 || most > u64::from(SLICE) / 2), "{samples}: {most}");
+        }
     }
 
     #[test]
