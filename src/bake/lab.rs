@@ -333,7 +333,8 @@ fn solved(rays: &Rays, settings: &Settings, store: Option<&Store>, progress: &dy
     let geometry = Geometry::new(&unit.scene);
     // Lights at their units have no other shape.
     let tracer = Tracer::with(&geometry, Rays::with(&geometry, rays.tree().clone()));
-    let baking = unit.baking(settings, store);
+    let plan = Plan::of_all_light(&unit.scene, settings);
+    let baking = Baking { plan: &plan, ..unit.baking(settings, store) };
     let (mut transport, mut journal) = (Transport::default(), Journal::new(progress));
     let mut sum: Option<(Rc<Surfels>, Solution)> = None;
     for (number, group) in unit.lighting.groups.iter().enumerate() {

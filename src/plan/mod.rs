@@ -149,6 +149,14 @@ impl Plan {
         Self { facts, light_groups: Vec::new(), steps, memory, warnings }
     }
 
+    /// The plan of whoever looks at surfaces themselves: all light at surfels, whatever a lightmap would hold of it and
+    /// whether or not there would be one.
+    pub fn of_all_light(scene: &Scene, settings: &Settings) -> Self {
+        let plan = Self::new(scene, settings);
+        let facts = Facts { receivers: plan.facts.receivers.max(1), ..plan.facts.clone() };
+        Self { steps: steps(&facts, &Settings { only: Only::All, ..settings.clone() }), ..plan }
+    }
+
     /// The plan of the same scene with settings that take no more memory.
     pub fn with(&self, settings: &Settings) -> Self {
         Self { steps: steps(&self.facts, settings), ..self.clone() }

@@ -261,9 +261,10 @@ mod tests {
     use super::*;
     use crate::render::method::{Chosen, METHODS};
     use crate::settings::{
-        Voxels,
+        Only, Voxels,
         value::{Samples, Texels},
     };
+    use crate::store::StoreOptions;
     use glam::Vec3;
     use luxel_scene::{Material, Silent, Sky, build::Builder};
 
@@ -355,6 +356,33 @@ mod tests {
         let below = look(DVec3::new(0.0, -2.0, 0.1));
         let expected = 10.0 * 0.5 / std::f32::consts::PI;
         assert!((below / expected - 1.0).abs() < 0.05, "{below} {expected}");
+    }
+
+    /// What a lightmap holds, and whether anything has one, is nothing to methods that find light where it is seen; nor
+    /// is what was stored.
+    #[test]
+    fn all_light_is_seen_whatever_a_lightmap_would_hold() {
+        let cornell = luxel_assets::cornell();
+        let mut unmapped = cornell.clone();
+        unmapped.instances.iter_mut().for_each(|i| i.receives = false);
+        let size = Size { width: Some(8), height: Some(8) };
+        let order = Order { view: View::Scene, size, samples: 1, exposure: Some(3.0), ways: Vec::new() };
+        let take = |scene: &Scene, only: Only, store: Option<&Store>| {
+            let settings = Settings { only, voxels: Voxels::Budget(1500), directions: Samples(64), ..settings() };
+            let picture = |studio: &Studio| studio.picture(Way::Found(Technique::Voxels), &Silent);
+            Studio::of(scene, &settings, &order, store, &Silent, picture).unwrap()
+        };
+        let folder = tempfile::tempdir().unwrap();
+        let store = StoreOptions::default().open(folder.path());
+        let all = take(&cornell, Only::All, None);
+        assert!(all.mean_reflected() > 0.0);
+        assert_eq!(take(&cornell, Only::Direct, None), all);
+        // The first one fills the store, the second one reads it.
+        for only in [Only::Direct, Only::All] {
+            let stored = take(&cornell, only, Some(&store));
+            assert_eq!((stored.radiance, stored.reflected), (all.radiance.clone(), all.reflected.clone()));
+        }
+        assert_eq!(take(&unmapped, Only::All, None).radiance, all.radiance);
     }
 
     #[test]
