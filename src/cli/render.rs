@@ -230,7 +230,7 @@ impl Scene<'_> {
     }
 
     fn warnings(&self) -> Vec<Warning> {
-        self.studio.scene().notices.iter().map(Warning::from).chain(self.studio.warning.clone()).collect()
+        self.studio.scene().notices.iter().map(Warning::from).chain(self.studio.warnings.iter().cloned()).collect()
     }
 
     fn tell_pass(&self, chosen: &Chosen, pass: u32, draws: u32, picture: &Picture, took: Duration) {

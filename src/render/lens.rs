@@ -1,6 +1,7 @@
 //! The camera: a pinhole in the frame of the scene, and pictures' sizes.
 
 use glam::{DAffine3, DMat3, DVec3, Vec3};
+use luxel_export::report::Warning;
 use luxel_scene::Camera;
 use luxel_transport::frame::Frame;
 
@@ -11,6 +12,9 @@ pub const SIDE: u32 = 960;
 /// Longest side of any picture, and most pixels of it.
 pub const MOST_SIDE: u32 = 16_384;
 pub const MOST_PIXELS: u64 = 1 << 25;
+
+/// Vertical fields of view that a picture can have [degrees]; cameras beyond have the nearest of them.
+pub const FIELD: std::ops::RangeInclusive<f64> = 0.1..=177.0;
 
 /// Width over height where neither a camera nor anybody says it.
 const ASPECT: f64 = 1.5;
@@ -25,12 +29,11 @@ pub struct Lens {
 }
 
 impl Lens {
-    /// The vertical field of view is the camera's; `aspect` is the width of the picture over its height.
+    /// The vertical field of view is the camera's, within [`FIELD`]; `aspect` is the width of the picture over its height.
     pub fn new(camera: &Camera, frame: &Frame, aspect: f64) -> Self {
         let m = camera.transform.matrix3;
         let unit = |v: DVec3| v.try_normalize().unwrap_or(DVec3::Y);
-        let half = (0.5 * camera.yfov).clamp(1e-3, 1.55);
-        let tan = libm::tan(half);
+        let tan = libm::tan(0.5 * camera.yfov.clamp(FIELD.start().to_radians(), FIELD.end().to_radians()));
         Self {
             eye: frame.point(camera.transform.translation),
             right: (unit(m.x_axis) * tan * aspect).as_vec3(),
@@ -55,6 +58,18 @@ pub fn camera(eye: DVec3, ahead: DVec3, yfov: f64) -> Camera {
     let right = ahead.cross(DVec3::Y).try_normalize().unwrap_or(DVec3::X);
     let rotation = DMat3::from_cols(right, right.cross(ahead), -ahead);
     Camera { name: "chosen".into(), transform: DAffine3::from_mat3_translation(rotation, eye), yfov, aspect: None }
+}
+
+/// Says that a picture shows another field of view than its camera has, where it does.
+pub fn narrowed(camera: &Camera) -> Option<Warning> {
+    let degrees = camera.yfov.to_degrees();
+    // The field of view is a conversion away from what was written.
+    let is_kept = degrees >= FIELD.start() * (1.0 - 1e-6) && degrees <= FIELD.end() * (1.0 + 1e-6);
+    let message = || {
+        let (name, shown) = (&camera.name, degrees.clamp(*FIELD.start(), *FIELD.end()));
+        format!("the camera {name:?} has a field of view of {degrees:.3} degrees; the picture shows {shown} of them")
+    };
+    (!is_kept).then(|| Warning { code: "camera-field".into(), message: message() })
 }
 
 /// Sides of a picture that were chosen [pixels]; the aspect follows the camera where one is missing.
@@ -125,6 +140,20 @@ mod tests {
         assert_eq!(of(Some(300), None, Some(1e6)), (300, 200));
         let huge = Size { width: Some(16_000), height: Some(16_000) }.of(&at_origin(None));
         assert!(matches!(huge, Err(Error::PictureSize { .. })));
+    }
+
+    #[test]
+    fn a_field_of_view_beyond_what_is_kept_is_told() {
+        let frame = Frame::new(-DVec3::ONE, DVec3::ONE);
+        for (degrees, shown, is_told) in
+            [(0.01, 0.1, true), (0.1, 0.1, false), (90.0, 90.0, false), (177.0, 177.0, false), (179.0, 177.0, true)]
+        {
+            let camera = Camera { yfov: f64::to_radians(degrees), ..at_origin(None) };
+            let top = Lens::new(&camera, &frame, 1.0).direction(0.0, 1.0);
+            let found = 2.0 * f64::from(libm::atan2f(top.y, -top.z)).to_degrees();
+            assert!((found / shown - 1.0).abs() < 1e-4, "{degrees}: {found}");
+            assert_eq!(narrowed(&camera).is_some(), is_told, "{degrees}");
+        }
     }
 
     #[test]

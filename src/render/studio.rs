@@ -60,8 +60,8 @@ pub struct Studio<'a> {
     edges: OnceCell<ToneMap>,
     /// With the continuous rays that were traced for it.
     lightmap: OnceCell<(Lit, u64)>,
-    /// What a person should know of the memory that pictures take.
-    pub warning: Option<Warning>,
+    /// What a person should know of the memory that pictures take, and of the camera.
+    pub warnings: Vec<Warning>,
 }
 
 impl Studio<'_> {
@@ -106,7 +106,8 @@ impl Studio<'_> {
             order.size.of(camera.as_ref().unwrap_or(&lens::camera(DVec3::ZERO, DVec3::NEG_Z, 1.0)))?;
         let pixels = u64::from(width) * u64::from(height);
         let needs = memory::estimate(scene, settings, &order.ways, pixels, camera.is_some());
-        let warning = bake::memory::check(&needs)?;
+        let mut warnings = Vec::from_iter(bake::memory::check(&needs)?);
+        warnings.extend(camera.as_ref().and_then(lens::narrowed));
         Lab::with(scene, settings, store, progress, |lab| {
             let whole = whole(scene);
             let geometry = whole.as_ref().map(Geometry::new);
@@ -129,7 +130,7 @@ impl Studio<'_> {
                 store,
                 edges: OnceCell::new(),
                 lightmap: OnceCell::new(),
-                warning,
+                warnings,
             };
             work(&studio)
         })

@@ -3,11 +3,8 @@
 use glam::DVec3;
 use luxel_scene::{Camera, Scene};
 
-use super::lens::camera;
+use super::lens::{FIELD, camera};
 use crate::Error;
-
-/// Fields of view that can be chosen [degrees], both ends excluded.
-pub const FIELD: std::ops::Range<f64> = 0.0..180.0;
 
 /// The field of view of a chosen place, where nobody says it [degrees].
 pub const USUAL_FIELD: f64 = 50.0;
@@ -37,8 +34,8 @@ impl View {
             return Err("the eye is where its target is: it has to look somewhere".into());
         };
         // NaN is not in the range either.
-        if !(field > FIELD.start && field < FIELD.end) {
-            return Err(format!("the field of view has to be between {} and {} degrees", FIELD.start, FIELD.end));
+        if !FIELD.contains(&field) {
+            return Err(format!("the field of view has to be from {} to {} degrees", FIELD.start(), FIELD.end()));
         }
         Ok(Self::Place(Box::new(camera(eye, ahead, field.to_radians()))))
     }
@@ -73,8 +70,8 @@ mod tests {
         let from = |eye: DVec3, field: f64| View::from(eye, DVec3::ZERO, field);
         assert!(from(DVec3::ZERO, 50.0).unwrap_err().contains("look somewhere"));
         assert!(from(DVec3::new(f64::NAN, 0.0, 0.0), 50.0).unwrap_err().contains("finite"));
-        for field in [0.0, -1.0, 180.0, f64::NAN, f64::INFINITY] {
-            assert!(from(DVec3::Z, field).unwrap_err().contains("between 0 and 180"), "{field}");
+        for field in [0.0, -1.0, 0.09, 177.1, 180.0, f64::NAN, f64::INFINITY] {
+            assert!(from(DVec3::Z, field).unwrap_err().contains("from 0.1 to 177 degrees"), "{field}");
         }
         let View::Place(camera) = from(DVec3::Z * 2.0, 90.0).unwrap() else { panic!() };
         assert!((camera.transform.matrix3.z_axis - DVec3::Z).length() < 1e-12, "it looks along −Z");
