@@ -261,6 +261,20 @@ fn scenes_with_nothing_in_them_are_pictures_of_nothing() {
     assert!(pixels.iter().all(|p| *p == Vec3::new(1.0, 2.0, 3.0)));
 }
 
+/// Shares of no light are not 0, and not no number either.
+#[test]
+fn a_comparison_to_darkness_states_no_difference() {
+    let folder = folder(&[]);
+    std::fs::write(folder.path().join("empty.gltf"), r#"{"asset":{"version":"2.0"}}"#).unwrap();
+    let run = render(&["empty.gltf", "--compare", "voxels,paths", "--json"], folder.path()).ended(0);
+    let compared = event(&run, "compared");
+    for method in compared["methods"].as_array().unwrap() {
+        for field in ["rmse", "bias", "p95", "error"] {
+            assert_eq!(method.get(field), Some(&Value::Null), "{field}: {method}");
+        }
+    }
+}
+
 #[test]
 fn folders_are_searched_and_a_scene_that_fails_stops_no_other() {
     let folder = folder(&["cornell.glb"]);

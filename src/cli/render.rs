@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 use anyhow::ensure;
 use luxel::Error;
 use luxel::discover::Found;
-use luxel::render::compare::{Trial, difference, digits, sheet};
+use luxel::render::compare::{Difference, Trial, difference, digits, sheet};
 use luxel::render::film::Picture;
 use luxel::render::method::{Chosen, Entry, METHODS, Way, passes};
 use luxel::render::view::USUAL_FIELD;
@@ -295,7 +295,8 @@ impl Scene<'_> {
                 let all: Vec<Value> = rows()
                     .map(|(method, trial, d)| {
                         let mut row = figures(method, &trial.picture, trial.seconds);
-                        (row["rmse"], row["bias"], row["p95"]) = (d.rmse.into(), d.bias.into(), d.p95.into());
+                        let of = |share: fn(Difference) -> f64| d.map(share).into();
+                        (row["rmse"], row["bias"], row["p95"]) = (of(|d| d.rmse), of(|d| d.bias), of(|d| d.p95));
                         row
                     })
                     .collect();
@@ -313,8 +314,8 @@ impl Scene<'_> {
                 for (i, (_, trial, d)) in rows().enumerate() {
                     let rays = trial.picture.spent.rays;
                     let rays = digits(rays as f64 * 1e-6);
-                    let d = if i == against { [None; 3] } else { [d.rmse, d.bias, d.p95].map(Some) };
-                    let [rmse, bias, p95] = d.map(percent);
+                    let d = d.filter(|_| i != against);
+                    let [rmse, bias, p95] = [d.map(|d| d.rmse), d.map(|d| d.bias), d.map(|d| d.p95)].map(percent);
                     say(&format!(
                         "  {:<22} {:>8} {rays:>9} {rmse:>8} {bias:>8} {p95:>8} {:>8}",
                         trial.name,

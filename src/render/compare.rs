@@ -32,11 +32,12 @@ pub struct Difference {
     pub p95: f64,
 }
 
-/// The difference of `picture` to `other`, which are of one size; nothing where `other` reflects no light.
-pub fn difference(picture: &Picture, other: &Picture) -> Difference {
+/// The difference of `picture` to `other`, which are of one size; none where `other` reflects no light, of which it would
+/// be a share.
+pub fn difference(picture: &Picture, other: &Picture) -> Option<Difference> {
     let mean = other.mean_reflected();
     if mean.is_nan() || mean <= 0.0 {
-        return Difference::default();
+        return None;
     }
     let mut sizes: Vec<f32> = errors(picture, other, mean).map(f32::abs).collect();
     sizes.sort_by(f32::total_cmp);
@@ -48,7 +49,7 @@ pub fn difference(picture: &Picture, other: &Picture) -> Difference {
     }
     let n = picture.reflected.len().max(1) as f64;
     let p95 = sizes.get((sizes.len() as f64 * 0.95) as usize).copied().map_or(0.0, f64::from);
-    Difference { rmse: (square / n).sqrt() / mean, bias: sum / n / mean, p95 }
+    Some(Difference { rmse: (square / n).sqrt() / mean, bias: sum / n / mean, p95 })
 }
 
 /// Difference of the band mean of what every pixel reflects, over `mean`.
@@ -75,7 +76,7 @@ const STEPS: f32 = 10.0;
 pub fn sheet(trials: &[Trial], against: usize, tone: &ToneMap, progress: &dyn Progress) -> Result<Image8, Cancelled> {
     let reference = &trials[against].picture;
     assert!(trials.iter().all(|t| (t.picture.width, t.picture.height) == (reference.width, reference.height)));
-    let differences: Vec<Difference> = trials.iter().map(|t| difference(&t.picture, reference)).collect();
+    let differences: Vec<Option<Difference>> = trials.iter().map(|t| difference(&t.picture, reference)).collect();
     let scale = scale(&differences);
     let labels: Vec<[String; 3]> = trials
         .iter()
@@ -129,8 +130,8 @@ fn noise(trial: &Trial) -> String {
     }
 }
 
-fn figures(difference: &Difference) -> String {
-    let Difference { rmse, bias, .. } = difference;
+fn figures(difference: &Option<Difference>) -> String {
+    let Some(Difference { rmse, bias, .. }) = difference else { return "RMSE -, bias -".into() };
     let sign = if *bias < 0.0 { '-' } else { '+' };
     format!("RMSE {} %, bias {sign}{} %", digits(100.0 * rmse), digits(100.0 * bias.abs()))
 }
@@ -146,8 +147,8 @@ pub fn digits(value: f64) -> String {
 
 /// What the strongest colours stand for: the largest 95th percentile, rounded up to 1, 2 or 5 times a power of ten but
 /// for a hair.
-fn scale(differences: &[Difference]) -> f32 {
-    let largest = differences.iter().map(|d| d.p95).fold(1e-3, f64::max);
+fn scale(differences: &[Option<Difference>]) -> f32 {
+    let largest = differences.iter().flatten().map(|d| d.p95).fold(1e-3, f64::max);
     let power = libm::exp10(libm::floor(libm::log10(largest)));
     let steps = [1.0, 2.0, 5.0, 10.0];
     (steps.into_iter().map(|s| s * power).find(|s| *s >= largest * (1.0 - 1e-4)).unwrap_or(largest)) as f32
@@ -209,14 +210,14 @@ mod tests {
     #[test]
     fn a_picture_does_not_differ_from_itself_and_a_constant_is_a_bias() {
         let (one, more) = (grey(2.0), grey(2.5));
-        assert_eq!(difference(&one.picture, &one.picture), Difference::default());
-        let found = difference(&more.picture, &one.picture);
+        assert_eq!(difference(&one.picture, &one.picture), Some(Difference::default()));
+        let found = difference(&more.picture, &one.picture).unwrap();
         for share in [found.rmse, found.bias, found.p95] {
             assert!((share - 0.25).abs() < 1e-6, "{found:?}");
         }
-        assert!((difference(&grey(1.0).picture, &one.picture).bias + 0.5).abs() < 1e-6);
-        let dark = difference(&one.picture, &grey(0.0).picture);
-        assert_eq!(dark, Difference::default(), "there is nothing to be a share of");
+        assert!((difference(&grey(1.0).picture, &one.picture).unwrap().bias + 0.5).abs() < 1e-6);
+        assert_eq!(difference(&one.picture, &grey(0.0).picture), None, "there is nothing to be a share of");
+        assert_eq!(figures(&None), "RMSE -, bias -");
     }
 
     #[test]
@@ -250,7 +251,7 @@ mod tests {
 
     #[test]
     fn scales_are_round_and_colours_have_a_sign() {
-        let of = |p95: f64| scale(&[Difference { p95, ..Difference::default() }]);
+        let of = |p95: f64| scale(&[None, Some(Difference { p95, ..Difference::default() })]);
         assert_eq!([of(0.0), of(0.011), of(0.05), of(0.3), of(0.7)], [1e-3, 0.02, 0.05, 0.5, 1.0]);
         assert_eq!(colour(0.0), [247; 3]);
         let (low, high) = (colour(-0.5), colour(0.5));
