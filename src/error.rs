@@ -31,6 +31,13 @@ pub enum Error {
     Folder { path: PathBuf, source: std::io::Error },
     #[error("an export does not replace {what} in {folder}: choose another folder with --to")]
     OverBake { folder: PathBuf, what: String },
+    #[error(
+        "the setting only leaves light out of lightmaps, and other methods show all of it: add --only all, or take \
+         --method lightmap"
+    )]
+    OnlyLightmap,
+    #[error("a picture does not replace {}, which the scene is made from: choose another name with --to", path.display())]
+    OverInput { path: PathBuf },
     #[error("there is no light group {name:?}; the scene has: {groups}")]
     Group { name: String, groups: String },
     #[error(

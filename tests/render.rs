@@ -237,7 +237,13 @@ fn what_cannot_be_pictured_is_told_before_anything_is_done() {
         (vec!["--aa", "0"], "1 to 256"),
         (vec!["--time", "3"], "for the methods paths and samples"),
         (vec!["--compare", "paths,paths"], "compared to itself"),
+        (vec!["--paths", "9"], "--paths is for the method paths"),
+        (vec!["--method", "paths", "--samples", "9"], "--samples is for the method samples"),
+        (vec!["--compare", "paths,lookup", "--map-photons", "9"], "--map-photons is for the method photons"),
+        (vec!["--method", "paths", "--paths", "1"], "--paths has to be 2 at least"),
         (vec!["two_rooms.glb", "--to", "one.png"], "--to names one picture"),
+        (vec!["--only", "direct"], "--method lightmap"),
+        (vec!["--only", "indirect", "--compare", "lightmap,lightcuts"], "--only all"),
     ] {
         let run = luxel(&[vec!["render", "cornell.glb"], args.clone()].concat(), folder.path()).ended(2);
         assert!(run.stderr.contains(expected), "{args:?}: {}", run.stderr);
@@ -248,6 +254,35 @@ fn what_cannot_be_pictured_is_told_before_anything_is_done() {
     let run = render(&["cornell.glb", "--camera", "roof"], folder.path()).ended(1);
     assert!(run.stderr.contains("there is no camera \"roof\""), "{}", run.stderr);
     assert_eq!(files(folder.path()).into_keys().collect::<Vec<_>>(), ["cornell.glb", "two_rooms.glb"]);
+}
+
+/// Settings may come from a file, too, which bakes have reasons for.
+#[test]
+fn light_is_left_out_of_pictures_of_lightmaps_alone() {
+    let folder = folder(&["cornell.glb"]);
+    std::fs::write(folder.path().join("luxel.toml"), "only = \"direct\"\nsize = 64\n").unwrap();
+    let run = render(&["cornell.glb"], folder.path()).ended(1);
+    assert!(run.stderr.contains("--method lightmap"), "{}", run.stderr);
+    render(&["cornell.glb", "--method", "lightmap"], folder.path()).ended(0);
+    render(&["cornell.glb", "--method", "lookup", "--only", "all"], folder.path()).ended(0);
+}
+
+#[test]
+fn a_picture_replaces_nothing_that_its_scene_is_made_from() {
+    let folder = folder(&["cornell.glb"]);
+    let at = |name: &str| folder.path().join(name);
+    render(&["cornell.glb", "--method", "voxels", "--to", "noon.png"], folder.path()).ended(0);
+    let (sky, before) = (at("noon.exr"), files(folder.path()));
+    for to in ["noon.png", "./baked/../noon.png"] {
+        let args = ["cornell.glb", "--method", "voxels", "--sky", sky.to_str().unwrap(), "--to", to];
+        let run = render(&args, folder.path()).ended(1);
+        assert!(run.stderr.contains("noon.exr") && run.stderr.contains("--to"), "{}", run.stderr);
+    }
+    assert!(files(folder.path()) == before);
+    // Beside them there is room, and a comparison writes no .exr.
+    let lit = ["cornell.glb", "--sky", "noon.exr"];
+    render(&[&lit[..], &["--method", "voxels", "--to", "dusk.png"]].concat(), folder.path()).ended(0);
+    render(&[&lit[..], &["--compare", "voxels,lookup", "--to", "noon.png"]].concat(), folder.path()).ended(0);
 }
 
 /// What a method needs is refused before any work where it cannot fit; what another one needs is no reason.
@@ -267,7 +302,7 @@ fn a_picture_that_does_not_fit_into_memory_is_refused() {
         assert!(started.iter().all(|e| e["stage"] == "import"), "{started:?}");
     }
     assert_eq!(files(folder.path()).into_keys().collect::<Vec<_>>(), ["cornell.glb"]);
-    take(&["--voxels", "edge:1e-9", "--method", "paths", "--paths", "1"]).ended(0);
+    take(&["--voxels", "edge:1e-9", "--method", "paths", "--paths", "2"]).ended(0);
 }
 
 #[test]

@@ -174,13 +174,13 @@ pub struct Render {
     /// shows most; of a comparison, as the method shows most that others are compared to]
     #[arg(long, value_name = "EV", value_parser = exposure, allow_hyphen_values = true, help_heading = PICTURE)]
     pub exposure: Option<f64>,
-    /// Paths of every point of --method paths [default: 64; with --time, as many as it takes]
+    /// Paths of every point of the method paths, at least 2 [default: 64; with --time, as many as it takes]
     #[arg(long, value_name = "N", help_heading = PICTURE)]
     pub paths: Option<NonZeroU32>,
-    /// Passes of --method samples, of two sets of 64 voxels for every point [default: 8; with --time, as many as it takes]
+    /// Passes of the method samples, of two sets of 64 voxels for every point [default: 8; with --time, as many as it takes]
     #[arg(long, value_name = "N", help_heading = PICTURE)]
     pub samples: Option<NonZeroU32>,
-    /// Photons of --method photons [default: 50000]
+    /// Photons of the method photons [default: 50000]
     #[arg(long, value_name = "N", help_heading = PICTURE)]
     pub map_photons: Option<NonZeroU32>,
     /// Write the picture as it gets better, by the method paths; samples does so unasked

@@ -117,6 +117,9 @@ Methods:
   photons      photon mapping, gathered by lightcuts
   paths        path tracing: the reference, without bias, with noise
 
+All but lightmap show all light, whatever a lightmap would hold: --only is for the lightmap alone. No picture replaces a
+file that its scene is made from.
+
 Every pixel has 4 samples, and all --aa N where what is displayed differs between its samples or from its neighbours, or
 where they show other surfaces. The method samples, and with --progressive or --time the method paths, write a first picture
 soon and again whenever they have drawn twice as much, until that is spent or the time is over; how far they come in a

@@ -1,9 +1,11 @@
 //! `luxel render`: pictures of scenes.
 
-use std::path::PathBuf;
+use std::num::NonZeroU32;
+use std::path::{Path, PathBuf};
+use std::slice;
 use std::time::{Duration, Instant};
 
-use anyhow::ensure;
+use anyhow::{bail, ensure};
 use luxel::Error;
 use luxel::discover::Found;
 use luxel::render::compare::{Difference, Trial, difference, digits, sheet};
@@ -11,7 +13,7 @@ use luxel::render::film::Picture;
 use luxel::render::method::{Chosen, Entry, METHODS, Way, passes};
 use luxel::render::view::USUAL_FIELD;
 use luxel::render::{Order, Size, Studio, View, exposure, lens, output};
-use luxel::settings::for_scene;
+use luxel::settings::{Settings, for_scene, resolve, value::Only};
 use luxel::text::shown;
 use luxel_export::OutputSet;
 use luxel_export::report::Warning;
@@ -19,23 +21,27 @@ use serde_json::{Value, json};
 
 use super::args::{Bake, Render};
 use super::progress::{Reporter, Style, duration, event};
-use super::{End, each, places, prepare, print};
+use super::{End, each, places, prepare, print, real};
 
 /// Takes the pictures of every scene.
 pub fn render(args: &Render) -> anyhow::Result<u8> {
     let Bake { common, out, .. } = &args.bake;
     let wanted = wanted(args)?;
     let order = order(args, wanted.ways())?;
+    shows_all(&resolve(slice::from_ref(&common.settings.0))?.settings, &wanted)?;
     let mut job = prepare(common, out.as_deref())?;
     job.deed = "rendered";
     ensure!(args.to.is_none() || job.scenes() == 1, "--to names one picture, and there are {} scenes", job.scenes());
     let places = places(&job.found, out.as_deref())?;
     each(&job, places, |found, outputs, reporter| {
         let settings = for_scene(&found.scene, job.config.as_ref(), &common.settings.0)?.settings;
+        shows_all(&settings, &wanted)?;
         // What a method takes is measured where it has to make all that it needs.
         let store = (!wanted.is_comparison()).then(|| args.bake.storing.options().open(outputs.folder()));
         let files = Files::new(args, &outputs);
         let took = Studio::with(&found.scene, &settings, &order, store.as_ref(), reporter, |studio| {
+            let read = studio.scene().inputs.iter().map(|input| input.path.as_path()).chain(common.config.as_deref());
+            files.spare(read, wanted.is_comparison())?;
             let scene = Scene { args, found, studio, files: &files, reporter, order: &order };
             match &wanted {
                 Wanted::One(chosen) => scene.one(*chosen),
@@ -74,16 +80,27 @@ impl Wanted {
         matches!(self, Self::Several(..))
     }
 
-    fn ways(&self) -> Vec<Way> {
-        let all = match self {
-            Self::One(chosen) => std::slice::from_ref(chosen),
+    fn all(&self) -> &[Chosen] {
+        match self {
+            Self::One(chosen) => slice::from_ref(chosen),
             Self::Several(all, _) => all,
-        };
-        all.iter().map(|chosen| chosen.way(chosen.draws)).collect()
+        }
+    }
+
+    fn ways(&self) -> Vec<Way> {
+        self.all().iter().map(|chosen| chosen.way(chosen.draws)).collect()
     }
 }
 
 fn wanted(args: &Render) -> anyhow::Result<Wanted> {
+    let wanted = methods(args)?;
+    for option in counts(args) {
+        option.fit(&wanted)?;
+    }
+    Ok(wanted)
+}
+
+fn methods(args: &Render) -> anyhow::Result<Wanted> {
     let chosen = |entry: &'static Entry| Chosen { entry, draws: draws(args, entry) };
     if args.compare.is_empty() {
         let chosen = chosen(args.method.unwrap_or(&METHODS[0]));
@@ -105,18 +122,54 @@ fn wanted(args: &Render) -> anyhow::Result<Wanted> {
     Ok(Wanted::Several(entries.into_iter().map(chosen).collect(), number))
 }
 
+/// Sees that no light is left out of what shows or is compared to all of it.
+fn shows_all(settings: &Settings, wanted: &Wanted) -> Result<(), Error> {
+    let is_lightmap = matches!(wanted, Wanted::One(chosen) if chosen.way(chosen.draws) == Way::Lightmap);
+    if settings.only == Only::All || is_lightmap { Ok(()) } else { Err(Error::OnlyLightmap) }
+}
+
+/// An option that says how often a method may draw.
+struct Count {
+    option: &'static str,
+    /// What is drawn.
+    draws: &'static str,
+    said: Option<u32>,
+}
+
+fn counts(args: &Render) -> [Count; 3] {
+    let count = |option, draws, said: Option<NonZeroU32>| Count { option, draws, said: said.map(NonZeroU32::get) };
+    [
+        count("--paths", "paths", args.paths),
+        count("--samples", "passes", args.samples),
+        count("--map-photons", "photons", args.map_photons),
+    ]
+}
+
+impl Count {
+    fn is_of(&self, entry: &Entry) -> bool {
+        entry.draws.is_some_and(|draws| draws.name == self.draws)
+    }
+
+    /// Sees that one of the methods draws that, and that it is enough for it.
+    fn fit(&self, wanted: &Wanted) -> anyhow::Result<()> {
+        let (Some(said), Self { option, draws, .. }) = (self.said, self) else { return Ok(()) };
+        let Some(chosen) = wanted.all().iter().find(|chosen| self.is_of(chosen.entry)) else {
+            let of = METHODS.iter().find(|entry| self.is_of(entry)).map_or("", |entry| entry.name);
+            bail!("{option} is for the method {of}, and the picture is not by it");
+        };
+        let least = chosen.least();
+        ensure!(said >= least, "{option} has to be {least} at least: of fewer {draws} no noise is known");
+        Ok(())
+    }
+}
+
 /// How often a method may draw.
 fn draws(args: &Render, entry: &Entry) -> u32 {
     let Some(draws) = entry.draws else { return 0 };
-    let said = match draws.name {
-        "paths" => args.paths,
-        "passes" => args.samples,
-        "photons" => args.map_photons,
-        _ => None,
-    };
+    let said = counts(args).into_iter().find(|count| count.is_of(entry)).and_then(|count| count.said);
     // Where time is what bounds it, nothing else does.
     let usual = if args.time.is_some() && draws.first.is_some() { u32::MAX } else { draws.usual };
-    said.map_or(usual, |n| n.get())
+    said.unwrap_or(usual)
 }
 
 /// The names of a scene's pictures.
@@ -131,6 +184,14 @@ impl Files {
             Some(png) => Self { picture: (png.clone(), png.with_extension("exr")), sheet: png.clone() },
             None => Self { picture: outputs.render(), sheet: outputs.compare() },
         }
+    }
+
+    /// Sees that none of the files that will be written is one that was read.
+    fn spare<'a>(&self, read: impl Iterator<Item = &'a Path>, is_comparison: bool) -> Result<(), Error> {
+        let files = if is_comparison { vec![&self.sheet] } else { vec![&self.picture.0, &self.picture.1] };
+        let read: Vec<PathBuf> = read.map(real).collect();
+        let over = files.into_iter().find(|file| read.contains(&real(file)));
+        over.map_or(Ok(()), |path| Err(Error::OverInput { path: path.clone() }))
     }
 }
 
@@ -174,9 +235,9 @@ impl Scene<'_> {
         let mut sum: Option<(Picture, u32)> = None;
         // How long the last pass took.
         let mut last = None;
-        for (pass, draws) in (0..).zip(passes(first, chosen.draws)) {
+        for (pass, draws) in (0..).zip(passes(first, chosen.least(), chosen.draws)) {
             let spent = sum.as_ref().map_or(0, |(_, spent)| *spent);
-            let Some(draws) = self.affordable(draws, start, last) else { break };
+            let Some(draws) = self.affordable(draws, chosen.least(), start, last) else { break };
             let own = Instant::now();
             let picture = take(draws)?;
             last = Some((own.elapsed(), draws));
@@ -195,12 +256,13 @@ impl Scene<'_> {
         Ok(sum.unwrap_or((Picture::black(self.studio.width, self.studio.height), 0)))
     }
 
-    /// How often the next pass may draw, in the time that is left at the rate of the last one; none when it is over.
-    fn affordable(&self, draws: u32, start: Instant, last: Option<(Duration, u32)>) -> Option<u32> {
+    /// How often the next pass may draw, in the time that is left at the rate of the last one; none when that is less than
+    /// a pass has at least.
+    fn affordable(&self, draws: u32, least: u32, start: Instant, last: Option<(Duration, u32)>) -> Option<u32> {
         let (Some(time), Some((took, drawn))) = (self.args.time, last) else { return Some(draws) };
         let left = time.checked_sub(start.elapsed())?.as_secs_f64();
         let fit = left / took.as_secs_f64().max(1e-9) * f64::from(drawn);
-        (fit >= 1.0).then(|| draws.min(fit as u32))
+        (fit >= f64::from(least)).then(|| draws.min(fit as u32))
     }
 
     /// Writes a picture; returns its exposure value.

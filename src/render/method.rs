@@ -38,6 +38,8 @@ pub struct Draws {
     pub name: &'static str,
     /// How many there are unless somebody says it.
     pub usual: u32,
+    /// Fewest of a picture or a pass: with less nothing is known of their noise, and every difference would be an edge.
+    pub least: u32,
     /// How many the first of several passes has; none for a method that has to draw all at once.
     pub first: Option<u32>,
     /// Pictures are shown as they get better without being asked for.
@@ -45,11 +47,11 @@ pub struct Draws {
 }
 
 /// Walks from every point.
-const PATHS: Draws = Draws { name: "paths", usual: 64, first: Some(4), is_progressive: false };
+const PATHS: Draws = Draws { name: "paths", usual: 64, least: 2, first: Some(4), is_progressive: false };
 /// Of two sets of sample voxels for every point.
-const PASSES: Draws = Draws { name: "passes", usual: 8, first: Some(1), is_progressive: true };
+const PASSES: Draws = Draws { name: "passes", usual: 8, least: 1, first: Some(1), is_progressive: true };
 /// For the whole scene.
-const PHOTONS: Draws = Draws { name: "photons", usual: 50_000, first: None, is_progressive: false };
+const PHOTONS: Draws = Draws { name: "photons", usual: 50_000, least: 1, first: None, is_progressive: false };
 
 /// All of them; the first is the default.
 pub static METHODS: &[Entry] = &[
@@ -117,6 +119,11 @@ impl Chosen {
         self.entry.draws?.first
     }
 
+    /// Fewest draws of a pass.
+    pub fn least(&self) -> u32 {
+        self.entry.draws.map_or(1, |draws| draws.least)
+    }
+
     /// As in a label: its name, and how many draws it may have.
     pub fn label(&self) -> String {
         match self.entry.draws {
@@ -139,11 +146,13 @@ pub fn named(name: &str) -> Result<&'static Entry, String> {
 }
 
 /// Draws of the passes that end with `total`: each doubles what there is, so that a first picture comes soon and every
-/// further one has less noise.
-pub fn passes(first: u32, total: u32) -> impl Iterator<Item = u32> {
+/// further one has less noise. What would be left for less than `least` draws goes with the pass before.
+pub fn passes(first: u32, least: u32, total: u32) -> impl Iterator<Item = u32> {
     let mut spent = 0;
     std::iter::from_fn(move || {
-        let next = if spent == 0 { first } else { spent }.min(total - spent);
+        let rest = total - spent;
+        let next = if spent == 0 { first } else { spent }.min(rest);
+        let next = if rest - next < least { rest } else { next };
         spent += next;
         (next > 0).then_some(next)
     })
@@ -165,9 +174,19 @@ mod tests {
 
     #[test]
     fn every_pass_doubles_and_the_last_spends_the_rest() {
-        assert_eq!(passes(4, 100).collect::<Vec<_>>(), [4, 4, 8, 16, 32, 36]);
-        assert_eq!(passes(4, 3).collect::<Vec<_>>(), [3]);
-        assert_eq!(passes(4, 0).count(), 0);
-        assert_eq!(passes(1, u32::MAX).map(u64::from).sum::<u64>(), u64::from(u32::MAX));
+        assert_eq!(passes(4, 2, 100).collect::<Vec<_>>(), [4, 4, 8, 16, 32, 36]);
+        assert_eq!(passes(4, 2, 3).collect::<Vec<_>>(), [3]);
+        assert_eq!(passes(4, 2, 0).count(), 0);
+        assert_eq!(passes(1, 1, u32::MAX).map(u64::from).sum::<u64>(), u64::from(u32::MAX));
+    }
+
+    #[test]
+    fn no_pass_is_too_small_to_know_its_noise() {
+        assert_eq!(passes(4, 2, 5).collect::<Vec<_>>(), [5]);
+        assert_eq!(passes(4, 2, 17).collect::<Vec<_>>(), [4, 4, 9]);
+        assert_eq!(passes(1, 1, 3).collect::<Vec<_>>(), [1, 1, 1]);
+        for draws in METHODS.iter().filter_map(|entry| entry.draws) {
+            assert!(draws.least <= draws.usual && draws.first.is_none_or(|first| draws.least <= first));
+        }
     }
 }
