@@ -107,7 +107,10 @@ impl<'a> Direct<'a> {
         let areas = emitters.areas.iter().map(|l| Target::Area(AreaTarget::new(l, &patterns)));
         let lamps = emitters.lamps.iter().map(Target::Lamp);
         let lights = areas.chain(lamps).chain(emitters.suns.iter().map(Target::Sun)).collect();
-        let occluders = Occluders::new(rays.geometry, progress)?;
+        let occluders = match settings.visibility {
+            Visibility::Shafts => Occluders::new(rays.geometry, progress)?,
+            Visibility::Rays => Occluders::none(rays.geometry),
+        };
         Ok(Self { sight: Sight { occluders, rays }, lights, patterns, settings })
     }
 

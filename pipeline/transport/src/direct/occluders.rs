@@ -46,6 +46,11 @@ fn boxed([a, b, c]: &[Vec3; 3]) -> Aabb {
 }
 
 impl<'a> Occluders<'a> {
+    /// For those who ask shadow rays alone: no tree.
+    pub fn none(geometry: &'a Geometry<'a>) -> Self {
+        Self { geometry, bvh: Bvh2::default(), order: Vec::new() }
+    }
+
     pub fn new(geometry: &'a Geometry<'a>, progress: &dyn Progress) -> Result<Self, Cancelled> {
         let mut ids = Vec::new();
         for item in watched(geometry.triangles.iter().enumerate(), progress) {

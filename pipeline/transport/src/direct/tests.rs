@@ -429,3 +429,19 @@ fn a_scene_without_light_or_without_receivers_is_fine() {
     assert!(both(&clutter(1, 5), |_| Vec::new(), 64).0.is_empty());
     assert!(both(&Scene::default(), |_| Vec::new(), 64).0.is_empty());
 }
+
+#[test]
+fn light_by_shadow_rays_builds_no_tree() {
+    let mut b = ground();
+    b.light("lamp", point(0.0, 1.0, 0.0, 0.0), Vec3::ONE);
+    let scene = b.build();
+    let geometry = Geometry::new(&scene);
+    let rays = Rays::new(&geometry);
+    let emitters = Emitters::new(&geometry);
+    // Whoever is not wanted any more stops as soon as there is something to do.
+    let build = |visibility| {
+        let how = DirectSettings { visibility, ..DirectSettings::default() };
+        Direct::build(&rays, &emitters, how, &luxel_scene::Unwanted).is_ok()
+    };
+    assert!(build(Visibility::Rays) && !build(Visibility::Shafts));
+}

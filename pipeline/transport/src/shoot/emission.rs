@@ -168,16 +168,22 @@ fn cone_direction(sun: &SunLight, p: Vec2) -> Vec3 {
     basis(sun.direction) * local
 }
 
-fn from_lamp(lamp: &Lamp, place: Vec2, p: Vec2, count: f64) -> Photon<'_> {
-    let (direction, solid_angle, falloff) = match &lamp.spot {
-        None => (sphere(p), 4.0 * PI, 1.0),
+/// A direction of a lamp's sphere or cone, evenly by a point of the unit square, and the solid angle of all of them
+/// times the falloff along this one [sr].
+pub(super) fn towards(lamp: &Lamp, p: Vec2) -> (Vec3, f64) {
+    match &lamp.spot {
+        None => (sphere(p), 4.0 * PI),
         Some(spot) => {
             let local = cap(p, spot.cos_outer as f32);
             let solid_angle = 2.0 * PI * (1.0 - spot.cos_outer);
-            (basis(spot.direction.as_vec3()) * local, solid_angle, spot.falloff(local.z.into()))
+            (basis(spot.direction.as_vec3()) * local, solid_angle * f64::from(spot.falloff(local.z.into())))
         }
-    };
-    let flux = lamp.intensity.as_dvec3() * (f64::from(falloff) * solid_angle / count);
+    }
+}
+
+fn from_lamp(lamp: &Lamp, place: Vec2, p: Vec2, count: f64) -> Photon<'_> {
+    let (direction, share) = towards(lamp, p);
+    let flux = lamp.intensity.as_dvec3() * (share / count);
     // A luminous sphere: the photon crosses the disc that its direction sees, uniformly.
     let origin = lamp.position + on_disc(&basis(direction), lamp.radius, place);
     Photon { origin, direction, flux, lamp: Some(lamp) }

@@ -273,3 +273,73 @@ fn the_spot_of_a_lamp_that_almost_touches_the_floor_is_not_missed() {
     assert_eq!(close(&rays, &Emitters::new(&geometry), &surfels, 5, &mut none, &Silent), Ok(0));
     assert!(none.iter().all(|e| *e == Rgb::ZERO));
 }
+
+/// The light of a lamp over the ground at 16 × 16 surfels, by points and then mended, and the surfels.
+fn touched(scene: &Scene, shape: impl Fn(&mut Surfels)) -> (Vec<Rgb>, Surfels) {
+    let geometry = Geometry::new(scene);
+    let rays = Rays::new(&geometry);
+    let emitters = Emitters::new(&geometry);
+    let mut surfels = tiled(&geometry, 16);
+    shape(&mut surfels);
+    let direct = Direct::new(&rays, &emitters, DirectSettings::default());
+    let mut light = exact(&geometry, &surfels, &direct, 5, &Silent).unwrap().irradiance;
+    assert!(close(&rays, &emitters, &surfels, 5, &mut light, &Silent).unwrap() > 0);
+    (light, surfels)
+}
+
+/// Flux through surfels of the ground [lm].
+fn through(light: &[Rgb]) -> DVec3 {
+    light.iter().map(|e| e.as_dvec3()).sum::<DVec3>() * (4.0f64 / 16.0).powi(2)
+}
+
+#[test]
+fn a_lamp_beside_surfels_without_area_gives_finite_light() {
+    let position = DVec3::new(0.125, 2e-3, 0.125);
+    let scene = lit(LightKind::Point { position, range: None, radius: 0.0 }, 1.0);
+    let (light, _) = touched(&scene, |surfels| {
+        surfels.list.iter_mut().filter(|s| s.centroid.x > 0.0).for_each(|s| s.area = 0.0);
+    });
+    assert!(light.iter().all(|e| e.is_finite() && e.min_element() >= 0.0));
+}
+
+#[test]
+fn a_bulb_in_a_shade_lights_the_floor_through_it() {
+    let base_color = Vec3::new(1.0, 0.5, 0.0).extend(0.5);
+    let floor = |shaded: bool| {
+        let mut b = ground();
+        let position = DVec3::new(0.125, 0.1, 0.125);
+        b.light("bulb", LightKind::Point { position, range: None, radius: 0.0 }, Vec3::ONE);
+        if shaded {
+            let veil = b.material(Material { base_color, alpha: luxel_scene::Alpha::Blend, ..Material::default() });
+            b.quad("shade", Vec3::new(-2.0, 0.05, -2.0), Vec3::X * 4.0, Vec3::Z * 4.0, veil);
+        }
+        through(&touched(&b.build(), |_| {}).0)
+    };
+    let passes = 0.5 * Vec3::ONE.lerp(base_color.truncate(), 0.5).as_dvec3();
+    let (shaded, open) = (floor(true), floor(false));
+    assert!((shaded / open - passes).abs().max_element() < 1e-3, "{shaded} {open}, not {passes}");
+}
+
+#[test]
+fn all_of_a_narrow_spot_close_to_the_floor_arrives() {
+    for degrees in [1.0f64, 5.0] {
+        let (position, direction) = (DVec3::new(0.125, 0.1, 0.125), DVec3::NEG_Y);
+        let outer = degrees.to_radians();
+        let scene =
+            lit(LightKind::Spot { position, direction, inner: 0.5 * outer, outer, range: None, radius: 0.0 }, 1.0);
+        let power = Emitters::new(&Geometry::new(&scene)).power();
+        let found = through(&touched(&scene, |_| {}).0);
+        assert!((found.x / power.x - 1.0).abs() < 0.005, "{degrees}°: {found} of {power}");
+    }
+}
+
+#[test]
+fn thread_counts_do_not_change_the_light_of_lamps_that_touch() {
+    let position = DVec3::new(0.125, 2e-3, 0.125);
+    let scene = lit(LightKind::Point { position, range: None, radius: 0.0 }, 1.0);
+    let with = |threads| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| touched(&scene, |_| {}).0)
+    };
+    assert_eq!(with(1), with(7));
+}
