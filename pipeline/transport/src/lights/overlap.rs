@@ -1,12 +1,12 @@
 //! Emissive polygons that lie on each other: a ray meets one surface of a plane, the first.
 //!
-//! So of polygons with equal corners and front only the first shines, and of one that earlier ones of its plane and front
-//! cover in part only what is left of it shines: cut along the edges of each of them (a convex polygon minus another one
+//! So of polygons with equal corners each side shines once, that of the first, and of one that earlier ones of its plane and
+//! front cover in part only what is left of it shines: cut along the edges of each of them (a convex polygon minus another one
 //! is a convex piece for every edge at most), into pieces of at most four corners. The sides of two-sided polygons are
 //! covered each by itself. Polygons of varying radiance are not cut and cut no others, and neither do veils, through which
 //! others are seen.
 
-use std::collections::HashSet;
+use std::collections::HashMap;
 
 use glam::{DVec2, DVec3, Vec3};
 use rayon::prelude::*;
@@ -26,7 +26,7 @@ const PARALLEL: f32 = 1.0 - 1e-6;
 
 /// What of the polygons rays may meet, in their order.
 pub(super) fn uncovered(geometry: &Geometry, areas: Vec<AreaLight>) -> Vec<AreaLight> {
-    let areas = singled(areas);
+    let areas = singled(geometry, areas);
     let pairs = overlapping(geometry, &areas);
     if pairs.is_empty() {
         return areas;
@@ -41,19 +41,35 @@ pub(super) fn uncovered(geometry: &Geometry, areas: Vec<AreaLight>) -> Vec<AreaL
     left
 }
 
-/// Of polygons with equal corners and front the first.
-fn singled(mut areas: Vec<AreaLight>) -> Vec<AreaLight> {
+/// Of opaque polygons with equal corners each side shines once, that of the first.
+fn singled(geometry: &Geometry, areas: Vec<AreaLight>) -> Vec<AreaLight> {
     let place = |light: &AreaLight| {
         let bits = |v: &Vec3| (*v + 0.0).to_array().map(f32::to_bits);
         let mut corners: Vec<[u32; 3]> = light.corners().iter().map(bits).collect();
         corners.sort_unstable();
-        // Backs of sheets shine too, whichever way they look.
-        let axis = light.normal.abs().max_position();
-        (corners, light.two_sided || light.normal[axis] > 0.0)
+        corners
     };
-    let mut seen = HashSet::with_capacity(areas.len());
-    areas.retain(|light| seen.insert(place(light)));
-    areas
+    // The front of a place is that of its first polygon.
+    let mut taken: HashMap<Vec<[u32; 3]>, (Vec3, Sides)> = HashMap::with_capacity(areas.len());
+    let one = |mut light: AreaLight| {
+        if !geometry.material(light.triangle).is_opaque() {
+            return Some(light);
+        }
+        let own = Sides::of(&light);
+        let (front, sides) = taken.entry(place(&light)).or_insert((light.normal, Sides::default()));
+        let same = front.dot(light.normal) > 0.0;
+        let left = own.less(sides.seen(same));
+        *sides = sides.with(own.seen(same));
+        if left == Sides::default() {
+            return None;
+        }
+        if !left.front {
+            light.normal = -light.normal;
+        }
+        light.two_sided = left.front && left.back;
+        Some(light)
+    };
+    areas.into_iter().filter_map(one).collect()
 }
 
 /// A polygon's box.
@@ -168,6 +184,15 @@ impl Sides {
 
     fn less(self, other: Self) -> Self {
         Self { front: self.front && !other.front, back: self.back && !other.back }
+    }
+
+    fn with(self, other: Self) -> Self {
+        Self { front: self.front || other.front, back: self.back || other.back }
+    }
+
+    /// They as those of a polygon that looks the same way, or the other way.
+    fn seen(self, same: bool) -> Self {
+        if same { self } else { Self { front: self.back, back: self.front } }
     }
 
     fn is_all(self, light: &AreaLight) -> bool {

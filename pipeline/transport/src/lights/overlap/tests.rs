@@ -196,3 +196,26 @@ fn a_wall_of_lamps_stays_as_it_is() {
     let same = |(a, b): (&AreaLight, &AreaLight)| a.corners() == b.corners() && a.identity == b.identity;
     assert!(after.len() == before.len() && after.iter().zip(&before).all(same));
 }
+
+/// Equal corners: of a sheet behind a panel the back is left, and what is seen through hides nothing.
+#[test]
+fn of_equal_polygons_each_side_shines_once() {
+    let mut b = Builder::new("equals");
+    let glow = b.emitter(Vec3::ZERO, Vec3::ONE);
+    let sheet = b.material(Material { emission: Vec3::ONE, double_sided: true, ..Material::default() });
+    let base_color = glam::Vec4::splat(0.5);
+    let veil = b.material(Material { emission: Vec3::ONE, alpha: Alpha::Blend, base_color, ..Material::default() });
+    b.quad("up", Vec3::ZERO, Vec3::X, Vec3::Y, glow);
+    b.quad("sheet", Vec3::ZERO, Vec3::X, Vec3::Y, sheet);
+    b.quad("down", Vec3::ZERO, Vec3::Y, Vec3::X, glow);
+    b.quad("down", Vec3::X * 2.0, Vec3::Y, Vec3::X, glow);
+    b.quad("sheet", Vec3::X * 2.0, Vec3::X, Vec3::Y, sheet);
+    b.quad("veil", Vec3::X * 4.0, Vec3::X, Vec3::Y, veil);
+    b.quad("panel", Vec3::X * 4.0, Vec3::X, Vec3::Y, glow);
+    let scene = b.build();
+    assert_areas(&scene, &[(1.0, 1), (1.0, 1), (0.0, 0), (1.0, 1), (1.0, 1), (1.0, 1), (1.0, 1)]);
+    let areas = Emitters::new(&Geometry::new(&scene)).areas;
+    let (below, above) = (&areas[1], &areas[3]);
+    assert_eq!((below.normal, below.two_sided), (Vec3::NEG_Z, false));
+    assert_eq!((above.normal, above.two_sided), (Vec3::Z, false));
+}
