@@ -11,6 +11,7 @@ use luxel_transport::{
     gather::{Field, Gather, Gathered, Lightcuts, Receiver, lightcuts},
     geometry::Geometry,
     lights::Emitters,
+    lighttree::emitter_samples,
     rays::Rays,
     surfel::{Grid, Solution, Surfels},
 };
@@ -70,10 +71,10 @@ pub fn with<T>(
         limit: LONGER * settings.cut_limit.0,
         near_rays: settings.near_rays.0.max(NEAR_RAYS),
         indirect: false,
-        emitter_samples: (SAMPLES.0 * emitters.areas.len()).max(SAMPLES.1),
     };
+    let samples = emitter_samples(&emitters.areas, (SAMPLES.0 * emitters.areas.len()).max(SAMPLES.1));
     let punctual = Direct::build(rays, &punctual, how, progress)?;
-    work(&Crowd { punctual, surfaces: Lightcuts::build(&field, cuts, progress)? })
+    work(&Crowd { punctual, surfaces: Lightcuts::with_emitters(&field, cuts, samples, progress)? })
 }
 
 /// Lamps and suns one by one, emissive surfaces by cuts.

@@ -9,6 +9,8 @@ use luxel_transport::{
     Rgb,
     gather::{Field, FieldError, FinalGather, Gather, Gathered, Lightcuts, Lookup, Receiver, lightcuts, refresh},
     geometry::Geometry,
+    lights::Emitters,
+    lighttree::emitter_samples,
     rays::Rays,
     surfel::{Grid, Solution, Surfel, Surfels},
 };
@@ -155,13 +157,16 @@ fn close_to_a_lit_wall_the_rays_replace_what_the_bounded_kernel_loses() {
 fn samples_of_an_emitter_light_like_the_emitter() {
     let lamp = [Vec3::new(-0.3, 0.4, -0.2), Vec3::X * 0.5, Vec3::Z * 0.4];
     over_floor(lamp, true, &[(0.4, 0.45), (0.1, 0.2), (0.05, 0.9)], |field, receivers, exact| {
-        let settings = lightcuts::Settings { indirect: false, emitter_samples: 1000, ..Default::default() };
-        for (g, exact) in run(&Lightcuts::new(field, settings), receivers).iter().zip(exact) {
+        let emitters = Emitters::new(field.rays.geometry);
+        let cuts = |indirect| {
+            let settings = lightcuts::Settings { indirect, ..Default::default() };
+            Lightcuts::with_emitters(field, settings, emitter_samples(&emitters.areas, 1000), &Silent).unwrap()
+        };
+        for (g, exact) in run(&cuts(false), receivers).iter().zip(exact) {
             assert!((g.irradiance.x / exact - 1.0).abs() < 0.02, "{} against {exact}", g.irradiance.x);
         }
         // Reflected and emitted light under one root.
-        let both = lightcuts::Settings { emitter_samples: 1000, ..Default::default() };
-        for (g, exact) in run(&Lightcuts::new(field, both), receivers).iter().zip(exact) {
+        for (g, exact) in run(&cuts(true), receivers).iter().zip(exact) {
             assert!((g.irradiance.x / exact - 1.0).abs() < 0.02, "{} against {exact}", g.irradiance.x);
         }
     });

@@ -37,7 +37,7 @@ use super::{
 };
 use crate::{
     Rgb,
-    lighttree::{LightTree, Vantage, emitter_samples, variant},
+    lighttree::{EmitterSamples, LightTree, Vantage, variant},
     rays::OFFSET,
 };
 
@@ -59,13 +59,11 @@ pub struct Settings {
     pub near_rays: u32,
     /// Gather light that surfaces reflect.
     pub indirect: bool,
-    /// About how many samples of emissive surfaces to gather light from; 0 leaves direct light to others.
-    pub emitter_samples: usize,
 }
 
 impl Default for Settings {
     fn default() -> Self {
-        Self { threshold: 0.02, limit: 1000, near_rays: 32, indirect: true, emitter_samples: 0 }
+        Self { threshold: 0.02, limit: 1000, near_rays: 32, indirect: true }
     }
 }
 
@@ -100,6 +98,16 @@ impl<'a> Lightcuts<'a> {
 
     /// [`Lightcuts::new`] that can be cancelled.
     pub fn build(field: &'a Field<'a>, settings: Settings, progress: &dyn Progress) -> Result<Self, Cancelled> {
+        Self::with_emitters(field, settings, EmitterSamples::default(), progress)
+    }
+
+    /// That gather direct light of these samples too; without any, it is left to others.
+    pub fn with_emitters(
+        field: &'a Field<'a>,
+        settings: Settings,
+        emitters: EmitterSamples,
+        progress: &dyn Progress,
+    ) -> Result<Self, Cancelled> {
         let geometry = field.rays.geometry;
         let covered = is_covered(field, progress)?;
         let ambient = if covered { mean_radiosity(field) } else { 0.0 };
@@ -109,13 +117,12 @@ impl<'a> Lightcuts<'a> {
         } else {
             LightTree::default()
         };
-        let samples = emitter_samples(geometry, settings.emitter_samples);
-        let caps = [cap(field.surfels.grid.edge), cap(samples.spacing.max(OFFSET))];
+        let caps = [cap(field.surfels.grid.edge), cap(emitters.spacing.max(OFFSET))];
         progress.check()?;
-        let direct = if settings.emitter_samples > 0 {
-            LightTree::samples(samples.lights, 0.0, progress)?
-        } else {
+        let direct = if emitters.lights.is_empty() {
             LightTree::default()
+        } else {
+            LightTree::samples(emitters.lights, 0.0, progress)?
         };
         Ok(Self { field, settings, indirect, direct, caps, near: NearField::new(settings.near_rays), covered })
     }
