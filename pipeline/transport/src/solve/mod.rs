@@ -59,7 +59,8 @@ pub struct SolveSettings {
     pub stiff: f64,
     /// Directions of that fixed set.
     pub stiff_directions: u32,
-    /// Nothing escapes ([`is_closed`]): lines from nowhere are unknown, and rows of the operator sum to 1.
+    /// Nothing escapes ([`is_closed`]): lines from nowhere are unknown, and rows of the operator sum to 1, or to 0 where
+    /// all lines are unknown. [`Rule::Literal`] knows nothing of this.
     pub closed: bool,
     /// Emission of surfels rides in a sweep of its own and is added to the direct light, for callers that bring no
     /// direct light of emissive surfaces.
@@ -399,10 +400,16 @@ impl Bounces<'_> {
         let operator = |radiosity: &[Rgb]| sweep.apply(&directions, radiosity.to_vec(), None, grey, progress);
         let surfels = self.sweep.surfels();
         let reflectance = |i: usize| surfels.list[i].albedo();
-        let rows = if self.settings.closed { None } else { Some(operator(&vec![Rgb::ONE; source.len()])?) };
+        let mut rows = operator(&vec![Rgb::ONE; source.len()])?;
+        if self.settings.closed && self.settings.rule == Rule::Surface {
+            // Known light has a weight of 1 in all; a surfel that only unknown lines reach has none.
+            rows.iter_mut().for_each(|row| *row = if row.x > 0.5 { Rgb::ONE } else { Rgb::ZERO });
+        }
+        let rows = rows.iter().any(|row| *row != Rgb::ONE).then_some(rows);
         let equation = stiff::Equation { surfels, reflectance: &reflectance, source: &source, rows: rows.as_deref() };
         let rest = stiff::solve(&equation, total, self.settings.tolerance, operator)?;
-        self.report.stiff_steps = rest.steps + u32::from(rows.is_some());
+        // And that of the rows.
+        self.report.stiff_steps = rest.steps + 1;
         self.report.discrete_rays += u64::from(self.report.stiff_steps) * directions.len() as u64 * source.len() as u64;
         global_cache.iter_mut().zip(&rest.irradiance).for_each(|(g, e)| *g += *e);
         self.stages.push(self.arrived(self.sent(&rest.radiosity), &rest.irradiance, false));

@@ -1,7 +1,7 @@
 //! Nearly white rooms: x = s + ρTx where plain bounces need ln ε / ln q of them (6900 at ρ = 0.999).
 //!
-//! Only one mode is slow, that of equal light everywhere, and what T does to it is known: T·1 = 1 in a closed scene, and
-//! measured in any other. So the iterate is kept as x = c + d, a level and what deviates from it:
+//! Only one mode is slow, that of equal light everywhere, and what T does to it is measured by one sweep: T·1 = 1 in a
+//! closed scene, but for surfels that see nothing. So the iterate is kept as x = c + d, a level and what deviates from it:
 //!
 //! - the operator is applied to d alone, and the residual r = s − c(1 − ρ T·1) + ρTd − d loses nothing to the rounding of
 //!   a level that is 1/(1 − ρ) times as large;
@@ -35,7 +35,7 @@ pub struct Equation<'a> {
     pub reflectance: &'a dyn Fn(usize) -> Rgb,
     /// s, the radiosity that starts [lm/m²].
     pub source: &'a [Rgb],
-    /// T·1 of every surfel; None where it is 1, as in a closed scene.
+    /// T·1 of every surfel; None where all of them are 1, as in most closed scenes.
     pub rows: Option<&'a [Rgb]>,
 }
 

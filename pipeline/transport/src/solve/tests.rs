@@ -355,3 +355,41 @@ fn the_correction_takes_a_leak_away_and_leaves_a_furnace_alone() {
     let rays = refine(&surfels, right.clone(), &mut right, &settings, &Silent).unwrap();
     assert!(rays == 0 && right.iter().all(|e| *e == Rgb::ONE));
 }
+
+#[test]
+fn outer_walls_of_a_closed_white_room_stay_dark() {
+    let mut b = Builder::new("house");
+    let white = b.matte(Vec3::splat(0.95));
+    b.cuboid("inside", Vec3::ZERO, Vec3::ONE, white, true);
+    b.cuboid("outside", Vec3::splat(-0.25), Vec3::splat(1.25), white, false);
+    let scene = b.build();
+    let geometry = Geometry::new(&scene);
+    let surfels = voxelized(&geometry, 20);
+    let is_inside = |i: usize| geometry.triangles[surfels.list[i].triangle as usize].instance == 0;
+    let direct: Vec<Rgb> = (0..surfels.list.len()).map(|i| if is_inside(i) { Rgb::ONE } else { Rgb::ZERO }).collect();
+    let (solution, report) = solve(&surfels, &direct, &closed(), None, &Silent).unwrap();
+    assert!(report.stiff_steps > 0);
+    for (i, e) in solution.indirect.iter().enumerate() {
+        // E = E₀ρ/(1 − ρ) of indirect light.
+        let expected = if is_inside(i) { 19.0 } else { 0.0 };
+        assert!((e.x - expected).abs() < 0.02 * 19.0, "surfel {i}: {e}, not {expected}");
+    }
+}
+
+#[test]
+fn the_literal_rule_is_solved_for_with_the_light_that_it_loses() {
+    let scene = room_with_block(Vec3::splat(0.95));
+    let geometry = Geometry::new(&scene);
+    let surfels = voxelized(&geometry, 20);
+    let lit = |s: &Surfel| if s.normal.y > 0.5 { Rgb::ONE } else { Rgb::ZERO };
+    let direct: Vec<Rgb> = surfels.list.iter().map(lit).collect();
+    let run = |stiff| {
+        // Bounces of as many directions as the solver's steps.
+        let settings =
+            SolveSettings { rule: Rule::Literal, stiff, directions: 128, decay: 1.0, tolerance: 1e-4, ..closed() };
+        let (solution, report) = solve(&surfels, &direct, &settings, None, &Silent).unwrap();
+        (mean(&surfels, &solution.indirect), report.stiff_steps)
+    };
+    let ((bounced, none), (solved, some)) = (run(1.0), run(0.2));
+    assert!(none == 0 && some > 0 && (solved / bounced - 1.0).abs() < 0.01, "{solved} {bounced}");
+}
