@@ -21,6 +21,7 @@
 //! gives the same bytes. Lengths are in the units of the [`frame::Frame`], light is in SI photometric units.
 
 mod aside;
+mod boxes;
 pub mod direct;
 pub mod directions;
 pub mod energy;

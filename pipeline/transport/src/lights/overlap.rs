@@ -12,7 +12,11 @@ use glam::{DVec2, DVec3, Vec3};
 use rayon::prelude::*;
 
 use super::AreaLight;
-use crate::{geometry::Geometry, rays::OFFSET};
+use crate::{
+    boxes::{Boxes, around},
+    geometry::Geometry,
+    rays::OFFSET,
+};
 
 /// What is closer lies in one plane, or does not overlap in it: corners are rounded by an eighth of it at most [frame
 /// units].
@@ -27,18 +31,35 @@ const PARALLEL: f32 = 1.0 - 1e-6;
 /// What of the polygons rays may meet, in their order.
 pub(super) fn uncovered(geometry: &Geometry, areas: Vec<AreaLight>) -> Vec<AreaLight> {
     let areas = singled(geometry, areas);
-    let pairs = overlapping(geometry, &areas);
-    if pairs.is_empty() {
+    let is_even = |light: &AreaLight| light.table.is_none() && geometry.material(light.triangle).is_opaque();
+    let even: Vec<usize> = (0..areas.len()).filter(|&i| is_even(&areas[i])).collect();
+    let boxes = Boxes::new(even.iter().map(|&i| around(areas[i].corners())));
+    let near = Vec3::splat(NEAR as f32);
+    // What covers one is forgotten before the next: in a stack everybody covers everybody.
+    let left = even.par_iter().map(|&i| {
+        let light = &areas[i];
+        let (lo, hi) = around(light.corners());
+        let mut earlier = Vec::new();
+        boxes.meeting((lo - near, hi + near), |k| {
+            earlier.extend(Some(even[k as usize]).filter(|j| *j < i));
+            true
+        });
+        earlier.sort_unstable();
+        remainder(light, earlier.into_iter().map(|j| &areas[j]).filter(|other| overlap(light, other)))
+    });
+    let left: Vec<Option<Vec<AreaLight>>> = left.collect();
+    if left.iter().all(Option::is_none) {
         return areas;
     }
-    let mut left = Vec::with_capacity(areas.len());
-    let mut pairs = &pairs[..];
-    for (i, light) in areas.iter().enumerate() {
-        let (own, rest) = pairs.split_at(pairs.partition_point(|(later, _)| *later == i));
-        remainder(light, own.iter().map(|(_, earlier)| &areas[*earlier]), &mut left);
-        pairs = rest;
+    let mut parts = even.into_iter().zip(left).peekable();
+    let mut out = Vec::with_capacity(areas.len());
+    for (i, light) in areas.into_iter().enumerate() {
+        match parts.next_if(|(k, _)| *k == i) {
+            Some((_, Some(parts))) => out.extend(parts),
+            _ => out.push(light),
+        }
     }
-    left
+    out
 }
 
 /// Of opaque polygons with equal corners each side shines once, that of the first.
@@ -72,47 +93,6 @@ fn singled(geometry: &Geometry, areas: Vec<AreaLight>) -> Vec<AreaLight> {
     areas.into_iter().filter_map(one).collect()
 }
 
-/// A polygon's box.
-struct Extent {
-    number: usize,
-    lo: Vec3,
-    hi: Vec3,
-}
-
-impl Extent {
-    fn new((number, light): (usize, &AreaLight)) -> Self {
-        let start = (Vec3::INFINITY, Vec3::NEG_INFINITY);
-        let (lo, hi) = light.corners().iter().fold(start, |(lo, hi), &c| (lo.min(c), hi.max(c)));
-        Self { number, lo, hi }
-    }
-}
-
-/// All pairs of a polygon and an earlier one that covers a part of it, sorted: a sweep along the axis across which the
-/// fewest lie side by side.
-fn overlapping(geometry: &Geometry, areas: &[AreaLight]) -> Vec<(usize, usize)> {
-    let is_even = |light: &AreaLight| light.table.is_none() && geometry.material(light.triangle).is_opaque();
-    let mut boxes: Vec<Extent> = areas.iter().enumerate().filter(|(_, l)| is_even(l)).map(Extent::new).collect();
-    let start = (Vec3::INFINITY, Vec3::NEG_INFINITY, DVec3::ZERO);
-    let (lo, hi, sum) = boxes.iter().fold(start, |(lo, hi, sum), b| {
-        (lo.min(b.lo), hi.max(b.hi), sum + (b.hi - b.lo).as_dvec3() + DVec3::splat(NEAR))
-    });
-    let axis = (sum / ((hi - lo).as_dvec3() + DVec3::splat(NEAR))).min_position();
-    boxes.sort_by(|a, b| a.lo[axis].total_cmp(&b.lo[axis]));
-    let near = Vec3::splat(NEAR as f32);
-    let with = |i: usize| {
-        let a = &boxes[i];
-        let beside = boxes[i + 1..].iter().take_while(|b| b.lo[axis] <= a.hi[axis] + near[axis]);
-        let meeting = beside.filter(|b| a.lo.cmple(b.hi + near).all() && b.lo.cmple(a.hi + near).all());
-        meeting.filter_map(|b| {
-            let (earlier, later) = (a.number.min(b.number), a.number.max(b.number));
-            overlap(&areas[later], &areas[earlier]).then_some((later, earlier))
-        })
-    };
-    let mut pairs: Vec<(usize, usize)> = (0..boxes.len()).into_par_iter().flat_map_iter(with).collect();
-    pairs.sort_unstable();
-    pairs
-}
-
 /// `earlier` covers a part of a side that shines of `later`.
 fn overlap(later: &AreaLight, earlier: &AreaLight) -> bool {
     if later.normal.dot(earlier.normal).abs() < PARALLEL
@@ -126,8 +106,8 @@ fn overlap(later: &AreaLight, earlier: &AreaLight) -> bool {
     in_plane && !plane.polygon(later).is_apart(&plane.polygon(earlier))
 }
 
-/// Appends what the earlier ones leave of a polygon.
-fn remainder<'a>(light: &AreaLight, earlier: impl Iterator<Item = &'a AreaLight>, out: &mut Vec<AreaLight>) {
+/// What the earlier ones leave of a polygon; `None` where that is all of it.
+fn remainder<'a>(light: &AreaLight, earlier: impl Iterator<Item = &'a AreaLight>) -> Option<Vec<AreaLight>> {
     let plane = Plane::of(light);
     let whole = plane.polygon(light);
     let least = SLIVER * whole.area();
@@ -148,19 +128,22 @@ fn remainder<'a>(light: &AreaLight, earlier: impl Iterator<Item = &'a AreaLight>
             }
         }
         pieces = left;
+        if pieces.is_empty() {
+            break;
+        }
     }
     if is_whole {
-        out.push(light.clone());
-        return;
+        return None;
     }
     let parts = pieces.iter().flat_map(|(piece, sides)| piece.quads(least).map(move |quad| (quad, *sides)));
-    out.extend((1..).zip(parts).map(|(number, (quad, sides))| {
+    let part = |(number, (quad, sides)): (u64, (Polygon, Sides))| {
         let corners: Vec<Vec3> = quad.0.iter().map(|&p| plane.place(p)).collect();
         let mut part = light.part(&corners, quad.area() as f32, number);
         part.normal = if sides.front { light.normal } else { -light.normal };
         part.two_sided = sides.front && sides.back;
         part
-    }));
+    };
+    Some((1..).zip(parts).map(part).collect())
 }
 
 /// Sides of a polygon.

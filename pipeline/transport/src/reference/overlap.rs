@@ -5,8 +5,10 @@
 //! those in one plane at a point, a ray meets the first one that shines its way.
 
 use glam::{DVec3, Vec3};
+use rayon::prelude::*;
 
 use crate::{
+    boxes::{Boxes, around},
     geometry::{Geometry, Triangle},
     rays::{Hit, OFFSET},
 };
@@ -14,48 +16,59 @@ use crate::{
 /// Up to so far apart triangles are in one plane, or merely touch [frame units].
 const NEAR: f64 = 0.25 * OFFSET as f64;
 
-/// Every two emitters that overlap, once from each of them; sorted.
-pub(super) struct Overlaps(Vec<(u32, u32)>);
+/// The emitters that overlap others. Who overlaps whom is asked where a ray hits: in a stack everybody does.
+pub(super) struct Overlaps {
+    /// Sorted.
+    triangles: Vec<u32>,
+    /// In their order.
+    boxes: Boxes,
+}
 
 impl Overlaps {
-    /// Those among `emitters` that are opaque.
+    /// Those among `emitters`, which are sorted, that are opaque.
     pub fn new(geometry: &Geometry, emitters: &[u32]) -> Self {
         let triangle = |i: u32| &geometry.triangles[i as usize];
-        let low = |i: u32| triangle(i).corners.iter().fold(f32::INFINITY, |x, c| x.min(c.x));
-        let high = |i: u32| triangle(i).corners.iter().fold(f32::NEG_INFINITY, |x, c| x.max(c.x));
-        let mut list: Vec<(f32, u32)> =
-            emitters.iter().filter(|&&i| geometry.material(i).is_opaque()).map(|&i| (low(i), i)).collect();
-        list.sort_by(|a, b| a.0.total_cmp(&b.0));
-        let mut pairs = Vec::new();
-        for (k, &(_, i)) in list.iter().enumerate() {
-            let end = high(i) + OFFSET;
-            for &(_, j) in list[k + 1..].iter().take_while(|(from, _)| *from <= end) {
-                if overlap(triangle(i), triangle(j)) {
-                    pairs.extend([(i, j), (j, i)]);
-                }
-            }
-        }
-        pairs.sort_unstable();
-        Self(pairs)
+        let opaque: Vec<u32> = emitters.iter().copied().filter(|&i| geometry.material(i).is_opaque()).collect();
+        let boxes = |list: &[u32]| Boxes::new(list.iter().map(|&i| around(&triangle(i).corners)));
+        let all = boxes(&opaque);
+        let is_one = |&i: &u32| {
+            let mut found = false;
+            let (lo, hi) = around(&triangle(i).corners);
+            all.meeting((lo - OFFSET, hi + OFFSET), |k| {
+                let other = opaque[k as usize];
+                found = other != i && overlap(triangle(i), triangle(other));
+                !found
+            });
+            found
+        };
+        let triangles: Vec<u32> = opaque.par_iter().copied().filter(is_one).collect();
+        let boxes = boxes(&triangles);
+        Self { triangles, boxes }
     }
 
     /// What a ray along `direction` meets that hits a surface at `hit`.
     pub fn met(&self, geometry: &Geometry, hit: Hit, direction: Vec3) -> Hit {
-        if self.0.is_empty() {
+        if self.triangles.binary_search(&hit.triangle).is_err() {
             return hit;
         }
-        let first = self.0.partition_point(|(i, _)| *i < hit.triangle);
-        let others = self.0[first..].iter().take_while(|(i, _)| *i == hit.triangle).map(|(_, j)| *j);
         let shines = |i: u32, back: bool| !back || geometry.material(i).double_sided;
         let own = shines(hit.triangle, hit.back);
-        let position = geometry.triangles[hit.triangle as usize].at(hit.u, hit.v);
-        let met = others.take_while(|j| !own || *j < hit.triangle).find_map(|j| {
-            let t = &geometry.triangles[j as usize];
-            let back = t.normal.dot(direction) > 0.0;
-            let [u, v] = inside(t, position).filter(|_| shines(j, back))?;
-            Some(Hit { triangle: j, u, v, back, ..hit })
+        let mine = &geometry.triangles[hit.triangle as usize];
+        let position = mine.at(hit.u, hit.v);
+        let mut met = hit;
+        self.boxes.meeting((position - OFFSET, position + OFFSET), |k| {
+            let j = self.triangles[k as usize];
+            let found = met.triangle != hit.triangle;
+            let is_before = if found { j < met.triangle } else { j < hit.triangle || !own };
+            if j != hit.triangle && is_before {
+                let t = &geometry.triangles[j as usize];
+                let back = t.normal.dot(direction) > 0.0;
+                let at = inside(t, position).filter(|_| shines(j, back) && overlap(mine, t));
+                met = at.map_or(met, |[u, v]| Hit { triangle: j, u, v, back, ..hit });
+            }
+            true
         });
-        met.unwrap_or(hit)
+        met
     }
 }
 
