@@ -49,12 +49,16 @@ impl Photon<'_> {
 }
 
 /// One side of a light with its share of the primary samples.
+#[derive(Clone, Copy)]
 pub(crate) struct Beam<'a> {
     light: Light<'a>,
     pub seed: u64,
+    /// Flux, summed over the bands [lux × squared frame units].
+    pub power: f64,
     pub primary: u32,
 }
 
+#[derive(Clone, Copy)]
 enum Light<'a> {
     /// With the normal of the side that shines.
     Area(&'a AreaLight, Vec3),
@@ -78,35 +82,79 @@ pub(crate) fn beams<'a>(
     primary: u32,
 ) -> Vec<Beam<'a>> {
     let ball = Ball::around(geometry);
-    let mut beams = Vec::new();
+    let mut beams = near(emitters);
+    beams.extend(emitters.suns.iter().map(|l| Beam::sun(l, ball)));
+    if let Some(dome) = sky {
+        let power = dome.total().element_sum() * ball.disc();
+        beams.push(Beam { light: Light::Sky(dome, ball), seed: Dome::IDENTITY, power, primary: 0 });
+    }
+    let total: f64 = beams.iter().map(|b| b.power).sum();
+    let share = |power: f64| (power / total * f64::from(primary)).round().clamp(1.0, 1e9) as u32;
+    beams.iter_mut().for_each(|beam| beam.primary = share(beam.power));
+    beams
+}
+
+/// Surfaces and lamps, without samples.
+pub(crate) fn near(emitters: &Emitters) -> Vec<Beam<'_>> {
+    let mut beams = Vec::with_capacity(emitters.areas.len() + emitters.lamps.len());
     for l in &emitters.areas {
         for normal in [l.normal, -l.normal].into_iter().take(if l.two_sided { 2 } else { 1 }) {
             let sides = if l.two_sided { 0.5 } else { 1.0 };
             let seed = combine(l.identity, u64::from(normal != l.normal));
-            beams.push((Light::Area(l, normal), seed, l.power(1.0).element_sum() * sides));
+            let power = l.power(1.0).element_sum() * sides;
+            beams.push(Beam { light: Light::Area(l, normal), seed, power, primary: 0 });
         }
     }
-    for l in &emitters.lamps {
-        beams.push((Light::Lamp(l), l.identity, l.power(1.0).element_sum()));
-    }
-    for l in &emitters.suns {
-        beams.push((Light::Sun(l, ball), l.identity, l.illuminance.as_dvec3().element_sum() * ball.disc()));
-    }
-    if let Some(dome) = sky {
-        beams.push((Light::Sky(dome, ball), Dome::IDENTITY, dome.total().element_sum() * ball.disc()));
-    }
-    let total: f64 = beams.iter().map(|b| b.2).sum();
-    let share = |power: f64| (power / total * f64::from(primary)).round().clamp(1.0, 1e9) as u32;
-    beams.into_iter().map(|(light, seed, power)| Beam { light, seed, primary: share(power) }).collect()
+    beams.extend(emitters.lamps.iter().map(|l| Beam {
+        light: Light::Lamp(l),
+        seed: l.identity,
+        power: l.power(1.0).element_sum(),
+        primary: 0,
+    }));
+    beams
 }
 
-impl Beam<'_> {
+/// Suns, without samples.
+pub(crate) fn far<'a>(geometry: &Geometry, emitters: &'a Emitters) -> Vec<Beam<'a>> {
+    let ball = Ball::around(geometry);
+    emitters.suns.iter().map(|l| Beam::sun(l, ball)).collect()
+}
+
+/// Deals so many photons to beams by their power, evenly and no more than those, however many the beams are: the number
+/// of each beam that has any, with how many. A number in [0, 1) draws who has the fractions, so that in the mean
+/// everybody has his share.
+pub(crate) fn dealt(beams: &[Beam], photons: u32, draw: f32) -> Vec<(usize, u32)> {
+    let total: f64 = beams.iter().map(|b| b.power).sum();
+    let mut jobs = Vec::new();
+    let (mut before, mut first) = (0.0, 0);
+    for (number, beam) in beams.iter().enumerate() {
+        before += beam.power;
+        // Photon k stands at k + draw.
+        let end = (before / total * f64::from(photons) - f64::from(draw)).ceil().clamp(0.0, f64::from(photons)) as u32;
+        if end > first {
+            jobs.push((number, end - first));
+            first = end;
+        }
+    }
+    jobs
+}
+
+impl<'a> Beam<'a> {
+    fn sun(sun: &'a SunLight, ball: Ball) -> Self {
+        let power = sun.illuminance.as_dvec3().element_sum() * ball.disc();
+        Self { light: Light::Sun(sun, ball), seed: sun.identity, power, primary: 0 }
+    }
+
     /// Photon `i` of `directions` from primary sample `k`.
-    pub fn photon(&self, k: u32, i: u32, directions: u32) -> Photon<'_> {
+    pub fn photon(&self, k: u32, i: u32, directions: u32) -> Photon<'a> {
+        self.one_of(f64::from(self.primary) * f64::from(directions), (k, i, directions))
+    }
+
+    /// The same with the flux of one of `count` photons.
+    pub fn one_of(&self, count: f64, (k, i, directions): (u32, u32, u32)) -> Photon<'a> {
         let place = r2(k, unit2(mix(self.seed)));
         // Each point turns the lattice of directions anew.
         let p = r2(i, unit2(combine(self.seed, u64::from(k) + 1)));
-        let count = f64::from(self.primary) * f64::from(directions);
         // Parallel photons have places of their own on the disc: those of one point would all arrive together.
         let across = || r2(k.wrapping_mul(directions).wrapping_add(i), unit2(mix(self.seed)));
         match self.light {

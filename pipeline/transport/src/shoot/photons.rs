@@ -3,13 +3,15 @@
 //! Photons start as [`super::emission`] says, some from each of the primary samples on the lights. One that arrives on a
 //! surfel of area A adds Φᵢ/A to its irradiance. Sums are in f64 and in a fixed order.
 
+use std::ops::Range;
+
 use glam::{DVec3, IVec3, Vec3};
 use luxel_scene::{Cancelled, Progress};
 use rayon::prelude::*;
 
 use super::{
     Flux, Shot,
-    emission::{Photon, beams},
+    emission::{self, Beam, Photon, beams},
 };
 use crate::{
     Rgb,
@@ -87,6 +89,45 @@ pub fn photons(
     // From lux times squared frame units to lumen.
     shot.ledger = shot.ledger.scaled(1.0 / (emitters.scale * emitters.scale));
     Ok(shot)
+}
+
+/// Where the light of beams goes, by `count` photons of all of them in proportion to their flux, some from each point:
+/// what becomes of it [lux × squared frame units], and of that what is booked at surfels although it goes on (veils).
+/// The seed and the order of the beams are all that the photons depend on, not what lights are called.
+pub(crate) fn shone(
+    rays: &Rays,
+    surfels: &Surfels,
+    beams: &[Beam],
+    (count, directions, seed): (u32, u32, u64),
+    progress: &dyn Progress,
+) -> Result<(Flux, DVec3), Cancelled> {
+    let total: f64 = beams.iter().map(|b| b.power).sum();
+    let mut jobs = Vec::new();
+    for (number, photons) in emission::dealt(beams, count, unit(mix(seed))) {
+        let step = CHUNK * directions;
+        jobs.extend((0..photons).step_by(step as usize).map(|first| (number, first..(first + step).min(photons))));
+    }
+    let some = |jobs: &[(usize, Range<u32>)]| {
+        progress.check()?;
+        let mut tracer = Tracer { rays, surfels, deposits: Vec::new(), flux: Flux::default(), traced: 0 };
+        for (number, photons) in jobs {
+            let mut beam = beams[*number];
+            beam.seed = combine(seed, *number as u64);
+            // Its share of all photons, which it has in the mean.
+            let share = beam.power / total * f64::from(count);
+            for photon in photons.clone() {
+                tracer.trace(&beam.one_of(share, (photon / directions, photon % directions, directions)));
+            }
+        }
+        Ok((tracer.flux, tracer.deposits.iter().map(|(_, flux)| *flux).sum::<DVec3>()))
+    };
+    let parts = jobs.par_chunks(64).map(some).collect::<Result<Vec<_>, _>>()?;
+    let (mut sum, mut received) = (Flux::default(), DVec3::ZERO);
+    for (flux, deposited) in parts {
+        sum.add(&flux);
+        received += deposited;
+    }
+    Ok((sum, received - sum.deposited))
 }
 
 /// Where the light that surfels send goes, by `count` photons from them in proportion to their flux: what becomes of it

@@ -343,3 +343,35 @@ fn thread_counts_do_not_change_the_light_of_lamps_that_touch() {
     };
     assert_eq!(with(1), with(7));
 }
+
+/// Lamps of these intensities in a row.
+fn row(intensities: impl Iterator<Item = f32>) -> Emitters {
+    let mut b = ground();
+    for (i, intensity) in intensities.enumerate() {
+        let kind = LightKind::Point { position: DVec3::new(i as f64, 1.0, 0.0), range: None, radius: 0.0 };
+        b.light(&format!("lamp {i}"), kind, Vec3::splat(intensity));
+    }
+    Emitters::new(&Geometry::new(&b.build()))
+}
+
+#[test]
+fn photons_are_dealt_by_power_and_are_no_more_for_many_lights() {
+    let two = row([3.0, 1.0].into_iter());
+    assert_eq!(emission::dealt(&emission::near(&two), 100, 0.3), [(0, 75), (1, 25)]);
+    let strength = |i: u32| 1.0 + (i % 7) as f32;
+    let many = row((0..1000).map(strength));
+    let beams = emission::near(&many);
+    let mut sums = vec![0.0; beams.len()];
+    let draws = 1000;
+    for k in 0..draws {
+        let dealt = emission::dealt(&beams, 100, (k as f32 + 0.5) / draws as f32);
+        assert_eq!(dealt.iter().map(|d| d.1).sum::<u32>(), 100);
+        dealt.iter().for_each(|&(number, photons)| sums[number] += f64::from(photons));
+    }
+    // In the mean everybody has his share.
+    let total: f64 = (0..1000).map(|i| f64::from(strength(i))).sum();
+    for (i, sum) in (0..1000).zip(&sums) {
+        let expected = 100.0 * f64::from(strength(i)) / total;
+        assert!((sum / f64::from(draws) - expected).abs() < 2e-3, "{i}: {sum} {expected}");
+    }
+}
