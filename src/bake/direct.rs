@@ -101,8 +101,8 @@ mod tests {
     use glam::{DAffine3, DVec3, Vec3};
     use luxel_scene::{LightKind, Scene, Silent, build::Builder};
 
-    /// A floor under a grid of small lamps and one point light.
-    fn hall(side: u32) -> Scene {
+    /// A floor under a grid of small lamps, so many in each place, and one point light.
+    fn hall(side: u32, each: u32) -> Scene {
         let mut b = Builder::new("hall");
         let grey = b.matte(Vec3::splat(0.5));
         let glow = b.emitter(Vec3::ZERO, Vec3::new(30.0, 20.0, 10.0));
@@ -111,8 +111,9 @@ mod tests {
         let size = 4.0 / side as f32;
         let lamp = b.quad("lamp", Vec3::new(0.0, 4.0, 0.0), Vec3::X * size, Vec3::Z * size, glow);
         let mesh = b.scene_mut().instances[lamp].mesh;
-        for i in 1..side * side {
-            let at = DVec3::new(f64::from(i % side), 0.0, f64::from(i / side)) * (12.0 / f64::from(side)) - 6.0;
+        for i in each..side * side * each {
+            let (x, z) = (i / each % side, i / each / side);
+            let at = DVec3::new(f64::from(x), 0.0, f64::from(z)) * (12.0 / f64::from(side)) - 6.0;
             let at = DAffine3::from_translation(DVec3::new(at.x, 0.0, at.z));
             b.place(mesh, at, &format!("lamp {i}"));
         }
@@ -123,8 +124,14 @@ mod tests {
 
     #[test]
     fn a_crowd_shines_like_its_members() {
-        let scene = hall(36);
-        let geometry = Geometry::new(&scene);
+        // Of two lamps in one place the second one shines nowhere.
+        for each in [1, 2] {
+            assert_like_its_members(&hall(36, each));
+        }
+    }
+
+    fn assert_like_its_members(scene: &Scene) {
+        let geometry = Geometry::new(scene);
         let rays = Rays::new(&geometry);
         let emitters = Emitters::new(&geometry);
         assert!(is_crowded(&geometry, &emitters), "{} lamps", emitters.areas.len());
@@ -153,7 +160,7 @@ mod tests {
 
     #[test]
     fn a_few_lamps_are_no_crowd() {
-        let scene = hall(12);
+        let scene = hall(12, 1);
         let geometry = Geometry::new(&scene);
         assert!(!is_crowded(&geometry, &Emitters::new(&geometry)));
     }
