@@ -113,15 +113,32 @@ impl Books {
     }
 
     /// Books the sweeps of a solution, the first of which brings the light of the sky; the first `bounces` of them are
-    /// bounces, and another one is the solver's where it took steps of its own, else the tail.
-    pub fn propagate(&mut self, sweeps: &[Sweep], bounces: usize, is_stiff: bool, sky: Option<(DVec3, DVec3)>) {
+    /// bounces, and another one is the solver's where it took steps of its own, else the tail. `gone` is what rays say of
+    /// all light that is sent, where no refresh will book it: backs and veils take the same share of it from every sweep.
+    pub fn propagate(
+        &mut self,
+        sweeps: &[Sweep],
+        (bounces, is_stiff): (usize, bool),
+        sky: Option<(DVec3, DVec3)>,
+        gone: Option<&Gone>,
+    ) {
+        let part = |flux: fn(&Gone) -> DVec3| {
+            gone.map_or(DVec3::ZERO, |gone| flux(gone) / gone.sent.max(DVec3::splat(f64::MIN_POSITIVE)))
+        };
+        let (taken, doubt) = (part(|gone| gone.absorbed), part(|gone| gone.error));
+        let (mut error, mut sent) = (self.last.error, DVec3::ZERO);
         for (number, sweep) in sweeps.iter().enumerate() {
             if let Some(sky) = sky.filter(|_| number == 0) {
                 self.last = self.last.with_sky(sky);
+                error = self.last.error;
             }
             self.last = self.last.after(sweep);
+            self.last.absorbed += taken * sweep.sent;
+            sent += sweep.sent;
+            // One estimate for all sweeps: what is wrong with it adds up.
+            self.last.error = (error * error + (doubt * sent) * (doubt * sent)).map(f64::sqrt);
             self.flows.sent = sum(self.flows.sent, sweep.sent.to_array());
-            self.flows.escaped = sum(self.flows.escaped, sweep.escaped.to_array());
+            self.flows.escaped = sum(self.flows.escaped, (sweep.escaped + taken * sweep.sent).to_array());
             self.write(match number < bounces {
                 true => format!("bounce {}", number + 1),
                 false if is_stiff => "stiff".into(),
@@ -326,6 +343,17 @@ pub fn absorbed(surfels: &Surfels, indirect: &[Rgb]) -> DVec3 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use glam::Vec3;
+    use luxel_scene::{LightKind, Silent, build::Builder};
+    use luxel_transport::{
+        direct::{Direct, DirectSettings},
+        energy::{sent, shot},
+        lights::Emitters,
+        rays::Rays,
+        shoot,
+        solve::{SolveSettings, solve},
+        surfel::{Resolution, VoxelSettings},
+    };
 
     fn stage(name: &str, emitted: f64, absorbed: f64, in_flight: f64) -> EnergyStage {
         let all = |x: f64| [x; 3];
@@ -385,5 +413,37 @@ mod tests {
         let open = Flows { sent: [2.0; 3], escaped: [1.0; 3], received: [1.0; 3], kept: [0.2; 3], hidden: [0.0; 3] };
         gathered(&mut stages, &open, [1.1; 3]);
         assert!((stages[1].share - (0.02 + 0.04)).abs() < 1e-12, "{stages:?}");
+    }
+
+    #[test]
+    fn what_backs_absorb_is_booked_without_a_refresh() {
+        // Two plates, the upper one seen from its back, and a lamp beside them.
+        let mut b = Builder::new("plates");
+        let white = b.matte(Vec3::splat(0.8));
+        b.quad("lower", Vec3::new(0.0, 0.0, 1.0), Vec3::X, Vec3::NEG_Z, white);
+        b.quad("upper", Vec3::new(0.0, 0.5, 1.0), Vec3::X, Vec3::NEG_Z, white);
+        let position = DVec3::new(0.5, 0.25, 0.5);
+        b.light("bulb", LightKind::Point { position, range: None, radius: 0.0 }, Vec3::ONE);
+        let scene = b.build();
+        let geometry = Geometry::new(&scene);
+        let rays = Rays::new(&geometry);
+        let how = VoxelSettings { resolution: Resolution::Side(32), ..VoxelSettings::default() };
+        let surfels = Surfels::new(&geometry, &how, &Silent).unwrap();
+        let emitters = Emitters::new(&geometry);
+        let direct = Direct::new(&rays, &emitters, DirectSettings::default());
+        let light = shoot::exact(&geometry, &surfels, &direct, 5, &Silent).unwrap().irradiance;
+        let open = shot(&rays, &emitters, &surfels, &light, &Silent).unwrap();
+        let (solution, report) = solve(&surfels, &light, &SolveSettings::default(), None, &Silent).unwrap();
+        let radiosity = |i: usize| surfels.list[i].albedo() * solution.total(i);
+        let gone = sent(&rays, &surfels, &radiosity, &Silent).unwrap();
+        let area = 1.0 / (geometry.frame.scale * geometry.frame.scale);
+        let sweeps = report.ledger.scaled(area).stages;
+        let warned = |gone| {
+            let mut books = Books::open(Some(open));
+            books.propagate(&sweeps, (report.bounces.len(), report.stiff_steps > 0), None, gone);
+            warning(&books.stages).map(|warning| warning.message)
+        };
+        assert!(warned(None).is_some_and(|message| message.contains("is missing")));
+        assert_eq!(warned(Some(&gone)), None);
     }
 }

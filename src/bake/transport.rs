@@ -224,8 +224,11 @@ impl Transport {
             let progress = journal.progress;
             let shot = emitters.as_ref().map(|emitters| shot(rays, emitters, &surfels, &direct, progress));
             let sky = weight.map(|_| sky_flux(rays, &surfels, &radiance, progress));
+            let radiosity = |i: usize| surfels.list[i].albedo() * solution.total(i);
+            let is_last = !plan.runs(Stage::Refresh);
+            let gone = is_last.then(|| sent(rays, &surfels, &radiosity, progress)).transpose()?;
             let own = books.insert(Books::open(shot.transpose()?));
-            own.propagate(&sweeps, solved.0, solved.1, sky.transpose()?);
+            own.propagate(&sweeps, solved, sky.transpose()?, gone.as_ref());
         }
         counted.push((Stage::Propagate, journal.last(Stage::Propagate)));
         drop(direct);

@@ -14,8 +14,8 @@
 //! | absorbed, in flight | (1 − ρ) and ρ of the flux Σ A·E at surfels; absorbed also the backs and veils that photons meet |
 //! | escaped | of the lights' own light photons that leave the scene; of what a sweep sends the share of sky that a sweep of its own sees; of all reflected light, once it is refreshed, photons from the surfels |
 //!
-//! Backs of single-sided surfaces absorb, and only rays meet them: a sweep balances without them, a refresh with what
-//! photons from the surfels lose there ([`sent`]).
+//! Backs of single-sided surfaces absorb, and only rays meet them: sweeps and refreshes balance with what photons from
+//! the surfels lose there ([`sent`]).
 //!
 //! The estimates of photons and sky rays are means of [`REPEATS`] independent lattices, whose spread gives their
 //! standard error. Fluxes are irradiance [lux] × squared scene units: lumens where these are metres.
