@@ -1,5 +1,5 @@
 //! Convergence is shown, not assumed: as voxels, directions, cuts, rays and photons are refined together, the error falls
-//! to what the reference itself does not know, below one per cent of the mean light, and no bias is left.
+//! to what the reference itself does not know, below one per cent of the mean light, and so does all that the bias may be.
 
 mod support;
 

@@ -7,8 +7,12 @@ use glam::{DAffine3, DMat3, DQuat, DVec3, Vec3};
 use luxel::plan::Plan;
 use luxel::settings::{Settings, Voxels};
 use luxel_scene::{
-    LightKind, Material, Scene, Sky,
+    LightKind, Material, Scene, Silent, Sky,
     build::{Builder, transformed},
+};
+use luxel_transport::{
+    geometry::Geometry,
+    surfel::{Resolution, Surfels, VoxelSettings},
 };
 
 use crate::kit::*;
@@ -197,6 +201,9 @@ fn a_single_voxel() {
     let (scene, exact) = furnace("one voxel", 0.8, |b, wall| {
         b.cuboid("room", Vec3::new(-0.5, 0.0, -0.7), Vec3::new(0.8, 0.9, 0.4), wall, true);
     });
+    let how = VoxelSettings { resolution: Resolution::Edge(10.0), ..VoxelSettings::default() };
+    let surfels = Surfels::new(&Geometry::new(&scene), &how, &Silent).expect("voxels");
+    assert!(surfels.list.len() == 6 && surfels.list.iter().all(|s| s.voxel() == surfels.list[0].voxel()));
     let lit = bake(&scene, &Settings { voxels: Voxels::Edge(10.0), ..coarse() });
     // One surfel a wall, and each sees the five others: the light of a furnace is even, so nothing has to be resolved.
     assert_within("a single voxel", &scene, &lit, 0.005, |_| exact);

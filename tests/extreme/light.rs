@@ -128,9 +128,9 @@ fn a_candle_beside_a_thousand_million_candles_keeps_its_room_dim() {
                 3 * k - 6,
                 texels.len()
             );
-            if light_groups == LightGroups::Auto {
-                assert!((ratio - 1.0).abs() < 0.02, "room {k}: {ratio}");
-            }
+            // In one group, whose light is one, the dim rooms are right within a tenth.
+            let most = if light_groups == LightGroups::Auto { 0.02 } else { 0.1 };
+            assert!((ratio - 1.0).abs() < most, "room {k}: {ratio}");
         }
     }
 }

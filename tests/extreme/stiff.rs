@@ -422,6 +422,9 @@ fn a_labyrinth_of_ten_rooms() {
         );
         // Behind the seventh door no ray of a surfel may have met another that has any light.
         assert!(texels.len() > 100 && (dimmest > 0.0 || room > 6 && dimmest == 0.0), "room {room}: {dimmest}");
+        // Of the last two rooms particles tell hardly more than the order of magnitude.
+        let known_within = if room < 8 { 0.1 } else { 0.4 };
+        assert!(error < known_within * exact, "room {room}: {exact} ± {error}");
         // What a bounce has wrong of a door counts again at every door.
         let bound = 0.01 + 0.02 * room as f64;
         assert!((e / exact - 1.0).abs() <= bound + 3.0 * error / exact, "room {room}: {e} {exact} ± {error}");
@@ -441,7 +444,8 @@ fn the_energy_of_a_labyrinth_is_accounted_for() {
     let geometry = Geometry::new(&scene);
     let rays = Rays::new(&geometry);
     for budget in [15_000, 120_000] {
-        let coarse = budget < 20_000;
+        // So few voxels make almost two per cent of light that nobody sent.
+        let most = if budget < 20_000 { 0.025 } else { 0.01 };
         let surfels = voxelized(&geometry, budget);
         let lit = |s: &luxel_transport::surfel::Surfel| geometry.frame.world(s.centroid).x < 0.3;
         let direct: Vec<Rgb> = surfels.list.iter().map(|s| if lit(s) { Rgb::ONE } else { Rgb::ZERO }).collect();
@@ -460,8 +464,7 @@ fn the_energy_of_a_labyrinth_is_accounted_for() {
             share(ledger.imbalance)
         );
         assert!(solution.indirect.iter().all(|e| e.is_finite() && e.min_element() >= 0.0));
-        assert!(coarse || share(ledger.imbalance).abs() < 0.01);
-        assert!(share(ledger.escaped) < 5e-3);
-        assert!(coarse || (share(ledger.absorbed) - 1.0).abs() < 0.01 && steps <= 30);
+        assert!(share(ledger.imbalance).abs() < most && share(ledger.escaped) < 5e-3);
+        assert!((share(ledger.absorbed) - 1.0).abs() < most && steps <= 30);
     }
 }
