@@ -239,7 +239,7 @@ fn everything_that_makes_outputs_stale_says_so() {
         ("report-unreadable", "more than 67108864 bytes", |l| {
             fs::File::create(l.at("baked/s.bake.json")).unwrap().set_len((64 << 20) + 1).unwrap();
         }),
-        ("report-unreadable", "schema is 2", |l| l.edit(|r| r["schema"] = 2.into())),
+        ("report-unreadable", "schema is 1", |l| l.edit(|r| r["schema"] = 1.into())),
         ("report-unreadable", "a scene with another name", |l| {
             l.edit(|r| r["scene"]["inputs"][0]["path"] = "other.gltf".into());
         }),

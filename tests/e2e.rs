@@ -20,7 +20,7 @@ fn a_bake_leaves_four_files_that_belong_together() {
     assert_eq!(names(&baked), ["cornell.bake.json", "cornell.glb", "cornell.lightmap.exr", "cornell.preview.png"]);
 
     let report: Value = serde_json::from_slice(&std::fs::read(baked.join("cornell.bake.json")).unwrap()).unwrap();
-    assert_eq!(report["schema"], 1);
+    assert_eq!(report["schema"], 2);
     for output in report["outputs"].as_array().unwrap() {
         let bytes = std::fs::read(baked.join(output["path"].as_str().unwrap())).unwrap();
         assert_eq!(output["blake3"], blake3::hash(&bytes).to_hex().as_str(), "{}", output["path"]);

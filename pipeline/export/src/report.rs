@@ -1,8 +1,10 @@
 //! `level.bake.json`: what a bake did, in a documented and stable form.
 //!
-//! `schema` is 1. Within one schema number fields are only ever added; a reader ignores what it does not know. Times
+//! `schema` is 2. Within one schema number fields are only ever added; a reader ignores what it does not know. Times
 //! are seconds of wall clock, light is in SI photometric units, hashes are BLAKE3 as 64 hexadecimal digits. A field
 //! that does not apply is absent; no field is ever null.
+//!
+//! In schema 1 the counter `direct_photons` was what is `arrived_photons` now, and so was `direct_photons` of `table1`.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -13,7 +15,7 @@ use serde_json::Value;
 use crate::ExportError;
 
 /// The number of the form described here.
-pub const SCHEMA: u32 = 1;
+pub const SCHEMA: u32 = 2;
 
 /// The whole report of one baked scene.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -452,7 +454,7 @@ mod tests {
         let bytes = report.to_json().unwrap();
         assert_eq!(serde_json::from_slice::<Report>(&bytes).unwrap(), report);
         let json: Value = serde_json::from_slice(&bytes).unwrap();
-        assert_eq!(json["schema"], 1);
+        assert_eq!(json["schema"], SCHEMA);
         assert_eq!(json["stages"][0]["state"], "ran");
         assert_eq!(json["stages"][1]["state"], "left out");
         assert_eq!(json["table1"]["continuous_rays_per_second"], 50.0);
