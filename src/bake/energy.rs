@@ -148,8 +148,10 @@ impl Books {
     }
 
     /// Books that indirect light was gathered anew at all surfels: what they absorb by it, `after` instead of `before`
-    /// [lm], and what of all reflected light is `gone` by rays instead of by sweeps.
-    pub fn refresh(&mut self, before: DVec3, after: DVec3, gone: &Gone) {
+    /// [lm], what of the light that was gathered is `gone` by rays instead of by sweeps, and what surfels reflect that was
+    /// not gathered.
+    pub fn refresh(&mut self, (before, after): (DVec3, DVec3), unsent: DVec3, gone: &Gone) {
+        self.last.in_flight = unsent;
         self.last.absorbed += after - before + gone.absorbed;
         self.last.escaped += gone.escaped - DVec3::from(self.flows.escaped);
         self.last.error = (self.last.error * self.last.error + gone.error * gone.error).map(f64::sqrt);
@@ -292,6 +294,11 @@ pub fn worst(stages: &[EnergyStage]) -> Option<(&EnergyStage, f64)> {
     sure.max_by(|(_, a), (_, b)| a.total_cmp(b))
 }
 
+/// The lasting stage of which least is known.
+pub fn vaguest(stages: &[EnergyStage]) -> Option<&EnergyStage> {
+    lasting(stages).max_by(|a, b| a.share_error.total_cmp(&b.share_error))
+}
+
 /// What a person should know of books that do not balance: the first lasting stage that is surely amiss, and the table.
 pub fn warning(stages: &[EnergyStage]) -> Option<Warning> {
     let is_amiss = |stage: &&EnergyStage| stage.share - 2.0 * stage.share_error > LIMIT;
@@ -337,7 +344,12 @@ fn times(flux: [f64; 3], factor: [f64; 3]) -> [f64; 3] {
 
 /// The flux of indirect light that surfels absorb [lux × squared frame units].
 pub fn absorbed(surfels: &Surfels, indirect: &[Rgb]) -> DVec3 {
-    flux(surfels, |i| indirect[i]) - flux(surfels, |i| surfels.list[i].albedo() * indirect[i])
+    flux(surfels, |i| indirect[i]) - reflected(surfels, |i| indirect[i])
+}
+
+/// The flux of light that surfels reflect [lux × squared frame units].
+pub fn reflected(surfels: &Surfels, light: impl Fn(usize) -> Rgb) -> DVec3 {
+    flux(surfels, |i| surfels.list[i].albedo() * light(i))
 }
 
 #[cfg(test)]

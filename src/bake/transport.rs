@@ -21,7 +21,7 @@ use luxel_transport::{
 use super::Baking;
 use super::artefact::{self, head, put_slice, put_value};
 use super::direct;
-use super::energy::{self, Books, absorbed};
+use super::energy::{self, Books, absorbed, reflected};
 use super::journal::{Counters, Journal, WRITTEN};
 use super::record::Record;
 use super::tracer::Tracer;
@@ -232,26 +232,35 @@ impl Transport {
         }
         counted.push((Stage::Propagate, journal.last(Stage::Propagate)));
         drop(direct);
+        let is_single = settings.bounces.0 == 1;
         let refreshed = journal.run(plan, Stage::Refresh, Some(count), |progress, counters| {
+            let kept = absorbed(&surfels, &solution.indirect) * area;
+            // One bounce is gathered from direct light alone, and nothing is added to it.
+            if is_single {
+                solution.indirect.fill(Rgb::ZERO);
+            }
             let mut refreshed = {
                 let field = Field::build(rays, &surfels, &solution, progress)?;
                 refresh(&field, settings.refresh.0, &radiance, progress)?
             };
             let closed = *closed.get_or_insert_with(|| is_known_closed(rays, &surfels, settings));
             let how = SolveSettings { closed, ..solve_settings(settings) };
-            let kept = absorbed(&surfels, &solution.indirect) * area;
             // What was refreshed has its own copy of the direct light.
             let before = std::mem::take(&mut solution).indirect;
-            let discrete = refine(&surfels, before, &mut refreshed.indirect, &how, progress)?;
+            let discrete =
+                if is_single { 0 } else { refine(&surfels, before, &mut refreshed.indirect, &how, progress)? };
             counters.insert("continuous_rays".into(), count * u64::from(settings.refresh.0));
             counters.insert("discrete_rays".into(), discrete);
             Ok((refreshed, kept))
         })?;
         if let Some((refreshed, before)) = refreshed {
             if let Some(books) = &mut books {
-                let radiosity = |i: usize| surfels.list[i].albedo() * refreshed.total(i);
+                let all = |i: usize| if is_single { refreshed.direct[i] } else { refreshed.total(i) };
+                let radiosity = |i: usize| surfels.list[i].albedo() * all(i);
                 let gone = sent(rays, &surfels, &radiosity, journal.progress)?;
-                books.refresh(before, absorbed(&surfels, &refreshed.indirect) * area, &gone);
+                let after = absorbed(&surfels, &refreshed.indirect) * area;
+                let unsent = reflected(&surfels, |i| refreshed.total(i) - all(i)) * area;
+                books.refresh((before, after), unsent, &gone);
             }
             solution = refreshed;
             counted.push((Stage::Refresh, journal.last(Stage::Refresh)));

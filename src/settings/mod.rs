@@ -172,7 +172,7 @@ settings! {
         ["count"] directions: Samples = Samples(512);
         /// How many times fewer directions every bounce has than the one before it; 1 keeps their number.
         ["factor"] direction_decay: Decay = Decay(2.0);
-        /// Bounces at most. From the second on, the rest of the geometric series is added to the last one.
+        /// Bounces at most: 1 is one alone; from the second on, the rest of the geometric series is added to the last one.
         ["count"] bounces: Samples = Samples(64);
         /// Bouncing stops when the light still to come is a smaller share of all light than this.
         ["share"] tolerance: Tolerance = Tolerance(3e-4);
