@@ -8,7 +8,7 @@
 //! RMSE     √(⟨|Δ|²/3 − σ²⟩) / Ȳ       σ² variance of the reference, mean over the bands; 0 where it is exact
 //! bias     ⟨ΔY⟩ / Ȳ
 //! relMSE   ⟨mean over the bands of (Δ² − σ²)/(E² + (Ȳ/100)²)⟩
-//! median, p95   percentiles of |ΔY| / max(Y_expected, Ȳ/100), the reference's noise included
+//! median, p95   percentiles, by weight, of |ΔY| / max(Y_expected, Ȳ/100), the reference's noise included
 //! ```
 //!
 //! The reference is unbiased and independent of what is judged, so ⟨|Δ|²⟩ is the true mean square plus σ², and the
@@ -135,21 +135,29 @@ fn relative_square(s: &Sample, mean: f64) -> f64 {
     (0..3).map(|b| (d[b] * d[b] - noise[b] * noise[b]) / (e[b] * e[b] + (FLOOR * mean).powi(2))).sum::<f64>() / 3.0
 }
 
-/// Errors relative to the light, in rising order.
-fn relatives(samples: &[Sample], mean: f64) -> Vec<f64> {
-    let one = |s: &Sample| (y(s.found) - y(s.expected)).abs() / y(s.expected).max(FLOOR * mean);
-    let mut relative: Vec<f64> = samples.iter().map(one).collect();
-    relative.sort_by(f64::total_cmp);
+/// Errors relative to the light, in rising order, each with the weight of all up to it.
+fn relatives(samples: &[Sample], mean: f64) -> Vec<(f64, f64)> {
+    let one = |s: &Sample| ((y(s.found) - y(s.expected)).abs() / y(s.expected).max(FLOOR * mean), s.weight);
+    let mut relative: Vec<(f64, f64)> = samples.iter().map(one).collect();
+    relative.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.total_cmp(&b.1)));
+    let mut sum = 0.0;
+    for (_, weight) in &mut relative {
+        sum += *weight;
+        *weight = sum;
+    }
     relative
 }
 
 fn percentiles(samples: &[Sample], mean: f64) -> (Interval, Interval) {
     let relative = relatives(samples, mean);
-    let last = (relative.len() - 1) as f64;
+    let (last, whole) = (relative.len() - 1, relative[relative.len() - 1].1);
+    let square: f64 = samples.iter().map(|s| s.weight * s.weight).sum();
     let at = |q: f64| {
-        let spread = Z * (last * q * (1.0 - q)).sqrt();
-        let rank = |x: f64| relative[x.clamp(0.0, last) as usize];
-        Interval { value: rank(last * q), low: rank(last * q - spread), high: rank((last * q + spread).ceil()) }
+        // So many samples of equal weight tell as much (Kish 1965).
+        let spread = Z * (q * (1.0 - q) * square / (whole * whole)).sqrt();
+        // Sums round, and a rank that is met exactly is met.
+        let rank = |q: f64| relative[relative.partition_point(|(_, sum)| *sum < q * whole * (1.0 - 1e-12)).min(last)].0;
+        Interval { value: rank(q), low: rank(q - spread), high: rank(q + spread) }
     };
     (at(0.5), at(0.95))
 }
@@ -263,8 +271,32 @@ mod tests {
         assert!((m.mean - 1.5).abs() < 1e-9 && m.bias.value.abs() < 1e-7, "{m:?}");
         // Half the area is out by a tenth of a lux.
         assert!((m.rmse.value - 0.005f64.sqrt() / 1.5).abs() < 1e-6, "{m:?}");
-        assert!((m.median.value - 0.1).abs() < 1e-6 && m.noise == 0.0, "{m:?}");
+        // The other half has no error: the median is the least that half of the area is within.
+        assert!(m.median.value == 0.0 && (m.p95.value - 0.1).abs() < 1e-6 && m.noise == 0.0, "{m:?}");
         assert!((m.rel_mse - 0.5 * 0.01 / (1.0 + 0.015f64.powi(2))).abs() < 1e-6, "{m:?}");
+    }
+
+    #[test]
+    fn percentiles_are_those_of_the_area() {
+        let sample = |error: f32, weight: f64| Sample {
+            found: Vec3::splat(1.0 + error),
+            expected: Vec3::ONE,
+            weight,
+            ..Sample::default()
+        };
+        // Most samples are wrong, and little of the area.
+        let mut samples = vec![sample(0.5, 0.001); 300];
+        samples.extend(vec![sample(0.25, 1.0); 60]);
+        samples.extend(vec![sample(0.125, 1.0); 140]);
+        let m = measure(&samples);
+        assert_eq!((m.median.value, m.p95.value, m.p95.high), (0.125, 0.25, 0.25), "{m:?}");
+        let equal: Vec<Sample> = samples.iter().map(|s| Sample { weight: 3.0, ..*s }).collect();
+        let m = measure(&equal);
+        assert_eq!((m.median.low, m.median.value, m.p95.value), (0.5, 0.5, 0.5), "{m:?}");
+        let ranks: Vec<Sample> = (1..=100).map(|i| sample(i as f32, 1.0)).collect();
+        let m = measure(&ranks);
+        assert_eq!((m.median.value, m.p95.value), (50.0, 95.0), "{m:?}");
+        assert!((39.0..=41.0).contains(&m.median.low) && (59.0..=61.0).contains(&m.median.high), "{m:?}");
     }
 
     #[test]
