@@ -255,11 +255,14 @@ fn run(
         besides = (start.elapsed() - begun).as_secs_f64();
     }
     let mut lit = light(&baking, &tracer, (atlas, atlas_report), Keep::Images, &mut journal)?;
+    let mut verifying = 0.0;
     if let Some(ask) = verify {
+        let begun = start.elapsed();
         lit.verified = Some(verify::judge(&baking, &tracer, &lit, &ask, &mut journal)?);
+        verifying = (start.elapsed() - begun).as_secs_f64();
     }
     let picture = export::preview(&baking, &tracer, &lit, &mut journal)?;
-    let figures = (store.take_notes(), start.elapsed().as_secs_f64() - besides);
+    let figures = (store.take_notes(), start.elapsed().as_secs_f64() - besides - verifying);
     let mut baked = outgoing.write(&baking, &lit, picture.as_deref(), Effort::Small, figures, journal)?;
     baked.seconds -= besides;
     Ok(baked)
