@@ -134,6 +134,10 @@ mod tests {
         assert!((direct.mean_lux + indirect.mean_lux - v.mean_lux).abs() < 1e-4 * v.mean_lux, "{v:?}");
         assert!(good.checks.iter().all(|check| check.passed), "{:?}", good.checks);
         assert!(good.judge(0.05).is_none() && good.judge(1e-5).is_some());
+        // Of no texel nothing is known, so one is looked at at least.
+        let none = Verify { texels: 0, max_error: Some(1e-6) };
+        let few = verify_lit(&scene, &lit, &settings, &none, &Silent).unwrap();
+        assert!((1..=4).contains(&few.verification.drawn) && few.judge(1e-6).is_some(), "{:?}", few.verification);
         // A lightmap that is a tenth too bright.
         for map in &mut lit.lightmaps {
             let light = map.irradiance().iter().map(|e| *e * 1.1).collect();

@@ -112,7 +112,9 @@ impl fmt::Display for Reason {
             Self::Mixed => write!(f, "its light groups were weighed anew by luxel export"),
             Self::Untried => f.write_str("the settings for its target error are not known yet"),
             Self::Unverified { texels: 0 } => f.write_str("its error was not measured"),
-            Self::Unverified { texels } => write!(f, "its error was measured at {texels} texels, too few to judge it"),
+            Self::Unverified { texels } => {
+                write!(f, "its error was measured at {texels} texels, too few of them or by too few paths to judge it")
+            }
             Self::LeftOver { path } => write!(f, "{} was left over by another bake", shown(path)),
         }
     }

@@ -5,13 +5,13 @@ use std::fmt;
 use luxel_export::Report;
 use luxel_export::report::{Check, Place, Verification};
 
-use super::{GROWTH, Verified, Verify};
+use super::{GROWTH, MOST, Verified, Verify, is_quiet};
 use crate::text::plain;
 
 /// What a report says to a request.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Answer {
-    /// It holds no verification, or one of fewer texels than are asked for; with how many there are.
+    /// It holds no verification, or one of fewer texels or paths than it takes; with how many texels there are.
     Insufficient {
         texels: u64,
     },
@@ -28,12 +28,17 @@ pub struct Refusal {
 }
 
 /// Judges a report that was written before. Where the limit lies within the interval of fewer texels than may be drawn,
-/// more of them have to be.
+/// more of them have to be; where the reference's noise was small enough for what was asked then and is not for what is
+/// asked now, more paths.
 pub fn answer(report: &Report, ask: &Verify) -> Answer {
     let Some(verification) = &report.verification else { return Answer::Insufficient { texels: 0 } };
     let v = verification;
-    let wanted = u64::from(ask.texels);
+    let wanted = ask.fewest();
     if v.nothing.is_none() && v.drawn < wanted.min(v.available) {
+        return Answer::Insufficient { texels: v.drawn };
+    }
+    let is_noisy = !is_quiet(v.reference_noise, v.rmse, ask.max_error) && v.paths < u64::from(MOST);
+    if v.nothing.is_none() && is_noisy {
         return Answer::Insufficient { texels: v.drawn };
     }
     let Some(limit) = ask.max_error else { return Answer::Passed };
@@ -62,12 +67,17 @@ impl fmt::Display for Refusal {
             parts.push(exceeded(v, self.limit));
         }
         parts.extend(checks.iter().filter(|check| !check.passed).map(told));
-        write!(f, "the lightmap is not good enough, so the last one stays: {}", parts.join("; "))
+        write!(f, "the lightmap is not good enough: {}", parts.join("; "))
     }
 }
 
 /// What is said of an RMSE that is not certainly within the limit.
 fn exceeded(v: &Verification, limit: f64) -> String {
+    if v.texels == 0 {
+        return "no texel can be compared, because none that a chart covers by half is in the open; more texels \
+                (--size, --texel-density) have some"
+            .into();
+    }
     let is_sure = v.rmse_low > limit;
     let mut text = format!(
         "the error is {} and {} {}",
@@ -84,6 +94,9 @@ fn exceeded(v: &Verification, limit: f64) -> String {
     }
     text += match is_sure {
         true => "; a finer preset (--preset final), smaller voxels (--voxels) or a finer gather (--cut-error) help",
+        false if v.drawn >= v.available => {
+            "; all texels were compared, so only a finer bake (--preset final) decides it"
+        }
         false => "; more texels decide it (--verify)",
     };
     text
@@ -183,7 +196,31 @@ mod tests {
         assert!(refusal.to_string().contains("not certainly within 1.30 %"), "{refusal}");
         let mut all = report(400, [0.01, 0.012, 0.015]);
         all.verification.as_mut().unwrap().available = 400;
-        assert!(matches!(answer(&all, &ask(400, Some(0.013))), Answer::Refused(_)));
+        let Answer::Refused(refusal) = answer(&all, &ask(400, Some(0.013))) else { panic!() };
+        assert!(refusal.to_string().contains("all texels were compared"), "{refusal}");
+    }
+
+    #[test]
+    fn noise_that_was_small_enough_for_another_limit_is_measured_anew() {
+        let noisy = |paths| {
+            let mut noisy = report(400, [0.0, 0.01, 0.06]);
+            let v = noisy.verification.as_mut().unwrap();
+            (v.paths, v.reference_noise) = (paths, 0.07);
+            noisy
+        };
+        assert_eq!(answer(&noisy(256), &ask(400, Some(0.3))), Answer::Passed);
+        assert_eq!(answer(&noisy(256), &ask(400, Some(0.02))), Answer::Insufficient { texels: 400 });
+        assert_eq!(answer(&noisy(256), &ask(400, None)), Answer::Insufficient { texels: 400 });
+        // More paths than that are not walked.
+        assert_eq!(answer(&noisy(MOST.into()), &ask(400, None)), Answer::Passed);
+    }
+
+    #[test]
+    fn where_no_texel_can_be_compared_nothing_is_good_enough() {
+        let nothing = Verification { rmse_high: f64::MAX, ..Verification::default() };
+        let unknown = Report { verification: Some(nothing), ..Report::default() };
+        let Answer::Refused(refusal) = answer(&unknown, &ask(400, Some(0.5))) else { panic!() };
+        assert!(refusal.to_string().contains("no texel can be compared"), "{refusal}");
     }
 
     #[test]

@@ -15,7 +15,7 @@
 //!
 //! With a limit, the RMSE passes where the upper end of its interval is not above it. Where the limit lies within the
 //! interval, as many texels again are drawn and traced, up to [`GROWTH`] times those that were asked for. That is three
-//! looks at most, each of which may pass a lightmap that is just above the limit with a chance of 2.5 %.
+//! looks at most, at intervals that hold the RMSE as often as [`score`] says: 91 % of those of 100 texels, not 95 %.
 
 pub mod checks;
 pub mod gate;
@@ -70,11 +70,23 @@ pub struct Verify {
     pub max_error: Option<f64>,
 }
 
+impl Verify {
+    /// Texels of the first look.
+    fn fewest(&self) -> u64 {
+        self.texels.max(1).into()
+    }
+}
+
 /// What was found.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Verified {
     pub verification: Verification,
     pub checks: Vec<Check>,
+}
+
+/// Whether the reference's noise is small enough for a limit, if there is one; all as shares of the mean irradiance.
+pub(crate) fn is_quiet(noise: f64, rmse: f64, limit: Option<f64>) -> bool {
+    noise <= (0.5 * rmse).max(0.25 * limit.unwrap_or(0.0)).max(QUIET)
 }
 
 /// Verifies a lightmap of the scene that `rays` are of, whose lights have their own strength.
@@ -139,8 +151,9 @@ impl Trial<'_> {
     /// Why nothing can be compared.
     fn nothing(&self) -> Option<String> {
         let scene = self.rays.geometry.scene;
-        if self.population.is_empty() {
-            return Some("no texel is shown".into());
+        // Where there are charts and no texel that can be compared, nothing is known of their light.
+        if self.baked.atlas.charts.is_empty() {
+            return Some("no surface has texels".into());
         }
         let is_dark = Emitters::new(self.rays.geometry).is_empty() && scene.sky.is_dark();
         is_dark.then(|| "the scene has no light".into())
@@ -149,33 +162,21 @@ impl Trial<'_> {
     /// Draws and traces texels until the request is answered.
     fn sampled(&self, ask: &Verify) -> Result<(Found, Vec<Sample>), Error> {
         let mut found = Found { drawn: Vec::new(), asked: 0, paths: 0 };
-        self.draw(&mut found, u64::from(ask.texels))?;
+        self.draw(&mut found, ask.fewest())?;
         loop {
             let samples = self.samples(&found);
-            let noise_is_small = {
-                let measured = measure(&samples);
-                let limit = ask.max_error.map_or(0.0, |limit| 0.25 * limit);
-                measured.noise <= (0.5 * measured.rmse.value).max(limit).max(QUIET)
-            };
-            if noise_is_small || found.paths >= MOST {
-                break;
+            let Measure { noise, rmse, .. } = measure(&samples);
+            if !is_quiet(noise, rmse.value, ask.max_error) && found.paths < MOST {
+                // As many again: the estimate of all of them is that of twice the paths.
+                let paths = found.paths;
+                self.trace(&mut found.drawn, paths, u64::from(paths))?;
+                found.paths += paths;
+                continue;
             }
-            // As many again: the estimate of all of them is that of twice the paths.
-            let paths = found.paths.max(FIRST);
-            self.trace(&mut found.drawn, paths, u64::from(found.paths))?;
-            found.paths += paths;
-        }
-        let Some(limit) = ask.max_error else {
-            let samples = self.samples(&found);
-            return Ok((found, samples));
-        };
-        loop {
-            let samples = self.samples(&found);
-            let rmse = measure(&samples).rmse;
-            let is_open = rmse.low <= limit && rmse.high > limit;
+            let is_open = ask.max_error.is_some_and(|limit| rmse.low <= limit && rmse.high > limit);
             let more = found.asked;
             let is_all = found.asked >= self.population.len() as u64;
-            if !is_open || is_all || found.asked + more > GROWTH * u64::from(ask.texels) {
+            if !is_open || is_all || found.asked + more > GROWTH * ask.fewest() {
                 return Ok((found, samples));
             }
             self.draw(&mut found, more)?;

@@ -216,6 +216,11 @@ impl Drawn {
         }
     }
 
+    /// How many paths the reference has walked at each side.
+    pub fn paths(&self) -> f64 {
+        self.sums[0].paths
+    }
+
     /// The comparison of what the lightmap holds with it.
     pub fn sample(&self, baked: &Baked, holds: Holds) -> Sample {
         let expected = self.expected(holds);
