@@ -457,7 +457,7 @@ mod tests {
         let hash = hasher.finalize().to_hex();
         let versions = STORED.map(|stage| format!("{} {}", stage.name(), stage.version())).join(", ");
         let known = (
-            "surfels 6, shoot 5, propagate 6, refresh 4",
+            "surfels 6, shoot 6, propagate 7, refresh 5",
             "fca28b186b2d5657c258e19e336d734d92df34b46629d4b2da8d649340c8fbbe",
         );
         assert_eq!(

@@ -78,9 +78,10 @@ impl Stage {
     /// stored light of an older version is then made anew instead of being taken for this one's.
     pub fn version(self) -> u32 {
         match self {
-            Self::Surfels | Self::Propagate => 6,
-            Self::Shoot | Self::Direct => 5,
-            Self::Unwrap | Self::Refresh | Self::Preview => 4,
+            Self::Propagate => 7,
+            Self::Surfels | Self::Shoot | Self::Direct => 6,
+            Self::Refresh => 5,
+            Self::Unwrap | Self::Preview => 4,
             Self::Gather | Self::Finish | Self::Export => 3,
             Self::Sky => 2,
             Self::Import | Self::Rays | Self::Cache | Self::Clear => 1,
