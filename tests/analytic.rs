@@ -19,27 +19,6 @@ fn assert_all_within(name: &str, scene: &Scene, lit: &Lit, tolerance: f64, truth
     assert_texels_within(name, scene, lit, &texels, tolerance, truth);
 }
 
-fn assert_texels_within(
-    name: &str,
-    scene: &Scene,
-    lit: &Lit,
-    texels: &[usize],
-    tolerance: f64,
-    truth: impl Fn(DVec3) -> f64,
-) {
-    assert!(texels.len() >= 30, "{name}: only {} texels to judge by", texels.len());
-    let (s, worst, place) = score_closed_form(scene, lit, texels, truth);
-    println!(
-        "{name}: {} texels, mean E {:.5}, RMSE {:.4} %, bias {:+.4} %, largest {:.4} % at {place:.3}",
-        s.samples,
-        s.mean,
-        100.0 * s.rmse,
-        100.0 * s.bias,
-        100.0 * worst
-    );
-    assert!(worst <= tolerance, "{name}: {worst} at {place}: {s:?}");
-}
-
 /// Radiance of the furnaces' walls [cd/m²].
 const GLOW: f32 = 2.0;
 

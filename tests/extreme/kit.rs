@@ -38,18 +38,7 @@ pub fn assert_sound(name: &str, lit: &Lit) {
 /// Every valid texel, and at least 30 of them, is within `tolerance` of the closed form.
 pub fn assert_within(name: &str, scene: &Scene, lit: &Lit, tolerance: f64, truth: impl Fn(DVec3) -> f64) {
     assert_sound(name, lit);
-    let texels = valid_texels(lit, |_| true);
-    assert!(texels.len() >= 30, "{name}: only {} texels to judge by", texels.len());
-    let (s, worst, place) = score_closed_form(scene, lit, &texels, truth);
-    println!(
-        "{name}: {} texels, mean E {:.5}, RMSE {:.4} %, bias {:+.4} %, largest {:.4} % at {place:.3}",
-        s.samples,
-        s.mean,
-        100.0 * s.rmse,
-        100.0 * s.bias,
-        100.0 * worst
-    );
-    assert!(worst <= tolerance, "{name}: {worst} at {place}: {s:?}");
+    assert_texels_within(name, scene, lit, &valid_texels(lit, |_| true), tolerance, truth);
 }
 
 /// A closed room whose walls all have the albedo ρ and emit [`GLOW`], and E = πLₑ/(1 − ρ) in it.

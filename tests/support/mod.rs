@@ -230,3 +230,25 @@ pub fn score_closed_form(
     let truth: Vec<Vec3> = exact.iter().map(|e| Vec3::splat(*e as f32)).collect();
     (score(&values, &truth, &vec![0.0; texels.len()], &areas(lit, texels)), worst, place)
 }
+
+/// Every one of some texels, and at least 30 of them, is within `tolerance` of the closed form.
+pub fn assert_texels_within(
+    name: &str,
+    scene: &Scene,
+    lit: &Lit,
+    texels: &[usize],
+    tolerance: f64,
+    truth: impl Fn(DVec3) -> f64,
+) {
+    assert!(texels.len() >= 30, "{name}: only {} texels to judge by", texels.len());
+    let (s, worst, place) = score_closed_form(scene, lit, texels, truth);
+    println!(
+        "{name}: {} texels, mean E {:.5}, RMSE {:.4} %, bias {:+.4} %, largest {:.4} % at {place:.3}",
+        s.samples,
+        s.mean,
+        100.0 * s.rmse,
+        100.0 * s.bias,
+        100.0 * worst
+    );
+    assert!(worst <= tolerance, "{name}: {worst} at {place}: {s:?}");
+}
