@@ -7,6 +7,9 @@ use plotters::prelude::*;
 use super::Point;
 use super::series::{BASE, TOGETHER, names};
 
+/// Width of the legend over that of the rest.
+const LEGEND: f64 = 0.32;
+
 /// Size of a plot [pixels].
 const SIZE: (u32, u32) = (880, 560);
 
@@ -131,6 +134,8 @@ fn paint<'s>(
     let points = || lines.iter().flat_map(|l| &l.points).chain(front);
     let (x, y) =
         (range(points().map(|p| p.0)), range(points().map(|p| p.1).chain([noise].into_iter().filter(|n| *n > 0.0))));
+    // The legend has the right of the plot to itself.
+    let x = (x.0, x.1 * (x.1 / x.0).powf(LEGEND));
     let mut chart = ChartBuilder::on(area)
         .caption(title, ("sans-serif", 20))
         .margin(14)
