@@ -1,11 +1,11 @@
 //! The settings for an error or for a time: the practical question.
 //!
-//! The rungs of the [`ladder`](super::ladder) are tried from below, each at a few hundred texels against the reference: all
-//! light, in the groups that a bake has, on fronts, on a small atlas before its seams are stitched. For an error, the first rung wins the upper end of
-//! whose 95 % interval is below it (each rung that is tried may pass by chance, 2.5 % of them); that depends on scene and
-//! settings alone, so it can be stored and a bake with it has the same bytes everywhere. For a time, the last rung wins
-//! that fits into it on this machine; what belongs to texels counts as often as the lightmap has more of them than the
-//! trial.
+//! The rungs of the [`ladder`](super::ladder) are tried from below, each at a few hundred texels against the
+//! reference: all light, in the groups that a bake has, on fronts, on a small atlas before its seams are stitched.
+//! For an error, the first rung wins the upper end of whose 95 % interval is below it (each rung that is tried may
+//! pass by chance, 2.5 % of them); that depends on scene and settings alone, so it can be stored and a bake with it
+//! has the same bytes everywhere. For a time, the last rung wins that fits into it on this machine; what belongs to
+//! texels counts as often as the lightmap has more of them than the trial.
 
 use std::path::Path;
 

@@ -240,8 +240,9 @@ pub fn with(base: &Settings, name: &str, value: &str) -> Settings {
     settings
 }
 
-/// Settings like those of the paper's Table 1: so many voxels, about so many directions in integer steps, photons for direct light,
-/// light paths of this length, no refresh; its visible-voxel rule lost a third of the light, so luxel's own is kept.
+/// Settings like those of the paper's Table 1: so many voxels, about so many directions in integer steps, photons for
+/// direct light, light paths of this length, no refresh; its visible-voxel rule lost a third of the light, so luxel's
+/// own is kept.
 pub fn of_the_paper(base: &Settings, voxels: u32, directions: u32, photons: u32, length: u32) -> Settings {
     [
         ("voxels", voxels.to_string()),

@@ -55,13 +55,6 @@ pub fn voxelized(geometry: &Geometry, budget: u32) -> Surfels {
     Surfels::new(geometry, &settings, &Silent).expect("voxels")
 }
 
-/// Mean irradiance over some texels, by area, over the bands [lux].
-pub fn mean(lit: &Lit, texels: &[usize]) -> f64 {
-    let areas = areas(lit, texels);
-    let y = |i: usize| f64::from(value(lit, i).element_sum()) / 3.0;
-    texels.iter().zip(&areas).map(|(&i, a)| a * y(i)).sum::<f64>() / areas.iter().sum::<f64>()
-}
-
 /// x = source + ρTx in a closed room.
 pub fn closed_equation<'a>(
     surfels: &'a Surfels,

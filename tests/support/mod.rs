@@ -252,3 +252,10 @@ pub fn assert_texels_within(
     );
     assert!(worst <= tolerance, "{name}: {worst} at {place}: {s:?}");
 }
+
+/// Mean irradiance over some texels, by area, over the bands [lux].
+pub fn mean(lit: &Lit, texels: &[usize]) -> f64 {
+    let areas = areas(lit, texels);
+    let y = |i: usize| f64::from(value(lit, i).element_sum()) / 3.0;
+    texels.iter().zip(&areas).map(|(&i, a)| a * y(i)).sum::<f64>() / areas.iter().sum::<f64>()
+}
